@@ -76,7 +76,8 @@ def _check(path: Path, rig_path: Path | None) -> str:
         case SimConfig() as sim:
             summary = _sim(sim, path)
         case SignalsFile() as signals:
-            summary = f"signals, {len(signals.columns)} columns at {signals.rate_hz:g} Hz"
+            rate = "the rate of its time" if signals.rate_hz is None else f"{signals.rate_hz:g} Hz"
+            summary = f"signals, {len(signals.columns)} columns at {rate}"
     return summary
 
 

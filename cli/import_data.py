@@ -1,13 +1,20 @@
-"""`levid import`: convert measured data (CSV, text, NPZ, MAT) to a log."""
+"""`levid import`: convert measured data (CSV, text, NPZ, MAT) to logs."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from .output_folder_check import quoted
+from .output_folder_check import quoted, same_logs
 from .progress import say
+
+if TYPE_CHECKING:
+    from ..log.importer import Imported
+
+LEAST_TRACE_S = 34.0
+"""Shortest single record for `levid trace`: it fits to three fifths, which must last 20 s."""
 
 
 @click.command("import")
@@ -16,25 +23,53 @@ from .progress import say
     "--signals",
     required=True,
     type=click.Path(path_type=Path),
-    help="SIGNALS.yaml: columns, units, roles and rate; examples in config/signals/.",
+    help="SIGNALS.yaml: columns, units, roles and rate; `levid new signals FILE` writes a draft.",
 )
 @click.option(
     "-o", "--out", required=True, type=click.Path(path_type=Path), help="Path of the new log."
 )
 def command(file: Path, signals: Path, out: Path) -> int:
-    """Convert FILE (CSV, whitespace text, NPZ, MAT) to a log that `levid identify` reads.
+    """Convert FILE (CSV, text, NPZ, MAT) to a log that `levid identify` reads.
 
-    Prints the number of samples and the next command.
+    Data with long gaps become several logs, OUT-1.mcap, OUT-2.mcap, and so on. Prints the number of
+    samples, what was changed in the data, and the next commands.
 
     \b
     Examples:
-      levid import arm.dat --signals config/signals/cd-player-arm.yaml -o arm.mcap
-      levid identify arm.mcap --out out/arm
+      levid import motor.csv --signals motor.yaml -o motor.mcap
+      levid identify motor.mcap --out out/motor
     """
     from ..log.importer import import_file
 
-    samples = import_file(file, signals, out)
-    click.echo(f"{out}: {samples} samples")
-    folder = out.with_suffix("") if out.suffix else out.with_name(f"{out.name}-identified")
-    say(f"next: levid identify {quoted(out)} --out {quoted(folder)}")
+    found = import_file(file, signals, out)
+    for path, rows in found.logs:
+        click.echo(f"{path}: {rows} samples at {found.rate_hz:.6g} Hz")
+    for note in found.notes:
+        click.echo(f"note: {note}")
+    for warning in found.warnings:
+        say(f"warning: {warning}")
+    if found.missing_roles:
+        roles = " and ".join(found.missing_roles)
+        say(
+            f"next: levid identify needs columns of role {roles}: set the role in {signals}, "
+            f"delete {quoted(*(path for path, _ in found.logs))}, and import again"
+        )
+        return 0
+    _print_next(out, found)
     return 0
+
+
+def _print_next(out: Path, found: Imported) -> None:
+    folder = out.with_suffix("") if out.suffix else out.with_name(f"{out.name}-identified")
+    logs = same_logs([path for path, _ in found.logs])
+    say(f"next: levid identify {logs} --out {quoted(folder)}")
+    say("With a MODEL.yaml of the plant (docs/configuration.md#modelyaml), fit its parameters:")
+    say(f"      levid identify {logs} --model MODEL.yaml --out {quoted(folder)}")
+    say("and find effects that it lacks:")
+    say(f"      levid trace {logs} --model MODEL.yaml --out {quoted(folder / 'trace')}")
+    seconds = found.rows / found.rate_hz
+    if seconds < LEAST_TRACE_S:
+        say(
+            f"levid trace needs {LEAST_TRACE_S:.0f} s of data or more; these are {seconds:.3g} s: "
+            "record longer to use it"
+        )

@@ -32,6 +32,7 @@ _VERBS = {
     ),
     "identify": ("identify:command", "Identify the plant from logs."),
     "trace": ("trace:command", "Find the physical effects that the model lacks, from logs."),
+    "new": ("new_files:group", "Write a draft of a YAML file, such as SIGNALS.yaml."),
     "import": ("import_data:command", "Convert measured data (CSV, text, NPZ, MAT) to a log."),
     "demo": ("demo:command", "Fly, log, identify and trace the simulated rig; write reports."),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import signal
 import subprocess
 import sys
@@ -10,23 +11,42 @@ from pathlib import Path
 
 import numpy as np
 
+from .array_variables import Columns, Variable, list_variables, load_mat, read_variables
 from .errors import LogError
 from .signals_yaml import SignalsFile
-from .tabular_files import Columns, load_mat, read_variables
 
 _REFUSED = 3
 """Exit code of the child process for a file that does not fit; stdout holds the error."""
 
 
 def read_mat(path: Path, signals: SignalsFile) -> Columns:
-    """Return the columns of a MAT file up to version 7, each (n,), finite.
+    """Return the columns of a MAT file up to version 7, each (n,), NaN where a value is missing.
 
     Raises:
         LogError: not a MAT file, a damaged one, or one without the columns that `signals` names.
     """
+    # Only numbers are accepted: a hostile file may have taken over the child process.
+    answer = _child(path, signals.model_dump_json())
+    return list(np.load(io.BytesIO(answer), allow_pickle=False))
+
+
+def list_mat(path: Path) -> list[Variable]:
+    """Return the variables of a MAT file up to version 7, structs and their arrays included.
+
+    Raises:
+        LogError: not a MAT file, or a damaged one.
+    """
+    return [
+        Variable(str(name), tuple(map(int, shape)), content, value)
+        for name, shape, content, value in json.loads(_child(path, ""))
+    ]
+
+
+def _child(path: Path, request: str) -> bytes:
+    """Return the answer of the child process to a SignalsFile, or to an empty request."""
     child = subprocess.run(
         [sys.executable, "-P", "-m", __name__, str(path)],
-        input=signals.model_dump_json().encode(),
+        input=request.encode(),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         check=False,
@@ -38,8 +58,7 @@ def read_mat(path: Path, signals: SignalsFile) -> Columns:
             f"{path}: not a usable MAT file: its reader {_end(child.returncode)}, which only a "
             "damaged file causes"
         )
-    # Only numbers are accepted: a hostile file may have taken over the child process.
-    return list(np.load(io.BytesIO(child.stdout), allow_pickle=False))
+    return child.stdout
 
 
 def _end(code: int) -> str:
@@ -51,11 +70,19 @@ def _end(code: int) -> str:
         return f"was ended by signal {-code}"
 
 
-def _read(path: Path) -> int:
-    """Write the columns to stdout as one array (stdin: the SignalsFile); return the exit code."""
-    signals = SignalsFile.model_validate_json(sys.stdin.buffer.read())
+def _answer(path: Path) -> int:
+    """Write the columns, or the variables as JSON, to stdout; return the exit code.
+
+    stdin: the SignalsFile, or nothing for a list of the variables.
+    """
+    request = sys.stdin.buffer.read()
     try:
-        columns = read_variables(path, signals, load_mat(path))
+        variables = load_mat(path)
+        if not request:
+            found = [[v.path, v.shape, v.content, v.value] for v in list_variables(variables)]
+            sys.stdout.buffer.write(json.dumps(found).encode())
+            return 0
+        columns = read_variables(path, SignalsFile.model_validate_json(request), variables)
     except LogError as error:
         sys.stdout.buffer.write(str(error).encode())
         return _REFUSED
@@ -64,4 +91,4 @@ def _read(path: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(_read(Path(sys.argv[1])))
+    sys.exit(_answer(Path(sys.argv[1])))

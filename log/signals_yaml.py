@@ -8,8 +8,9 @@ from pydantic import Field, field_validator, model_validator
 
 from ..config.base import Finite, NonNegative, Positive, Strict
 from ..config.controller import ControllerConfig
+from .header_units import known_unit
 
-Role = Literal["input", "output", "reference", "excitation", "scheduling", "other"]
+Role = Literal["input", "output", "reference", "excitation", "scheduling", "time", "other"]
 Format = Literal["csv", "text", "npz", "mat"]
 
 # A name becomes a field of a ros2msg, a unit its comment in brackets: hence the patterns.
@@ -23,7 +24,8 @@ class Column(Strict):
 
     `column` is a number, from 0, or a name: of the header in CSV and text, of a variable in NPZ and
     MAT (`struct.field` for a field of a MATLAB struct); `index` picks one column of a variable that
-    is a matrix. The logged value is `scale` times the file's value plus `offset`, in `unit`.
+    is a matrix. A name may omit the unit in the header. The logged value is `scale` times the
+    file's value plus `offset`, in `unit`.
 
     An excitation is added to the input `of`. For an output, `noise_sd` is the standard deviation of
     its white noise, and `resolution` its smallest step, both in `unit`; estimated if not given.
@@ -94,13 +96,15 @@ class SignalsFile(Strict):
     """SIGNALS.yaml.
 
     The file's suffix gives `format` if it is not set. `input_hold`: how the inputs behave between
-    samples. `samples`: whether rows or columns of a matrix (NPZ, MAT) are samples. `loop`: the
-    control loop; without it the inputs do not depend on the outputs.
+    samples. `samples`: whether rows or columns of a matrix (NPZ, MAT) are samples. A column of role
+    `time` gives the rate if `rate_hz` is not set. `resample`: interpolate irregular time stamps.
+    `loop`: the control loop; without it the inputs do not depend on the outputs.
     """
 
     levid: Literal["signals"]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
-    rate_hz: Positive
+    rate_hz: Positive | None = None
+    resample: bool = False
     format: Format | None = None
     rows: RowRange = RowRange()
     samples: Literal["rows", "columns"] = "rows"
@@ -147,6 +151,25 @@ class SignalsFile(Strict):
                     f"cycle, found '{column.name}' again"
                 )
             taken.add(column.name)
+        return self
+
+    @model_validator(mode="after")
+    def _rate_is_known(self) -> Self:
+        times = self.with_role("time")
+        if len(times) > 1:
+            names = ", ".join(column.name for column in times)
+            raise ValueError(f"expected at most one column of role time, found {names}")
+        if not times and self.rate_hz is None:
+            raise ValueError("expected rate_hz or a column of role time, found neither")
+        if not times and self.resample:
+            raise ValueError("resample: expected a column of role time, found none")
+        for column in times:
+            unit = known_unit(column.unit)
+            if unit is None or unit.si != "s":
+                raise ValueError(
+                    f"expected a unit of time for {column.name}, such as s, ms or us, found "
+                    f"{column.unit}"
+                )
         return self
 
     def with_role(self, role: Role) -> tuple[Column, ...]:

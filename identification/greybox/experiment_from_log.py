@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...config.base import parse_text
 from ...config.model import ModelConfig
+from ...log.header_units import known_unit
 from ...log.reader import Log
 from ...log.signals_yaml import SignalsFile
 from ...model.controller import pi_controller
@@ -26,7 +27,7 @@ from ..records.from_log import (
     require_finite,
     rig_of,
 )
-from ..records.record import OTHER_STEP, IdentificationError, NotARecordError
+from ..records.record import OTHER_STEP, IdentificationError, NotARecordError, Record
 from ..records.resampling import resample
 from .control_loop import ControlLoop, imported_loop
 from .intersample_input import Hold
@@ -75,6 +76,8 @@ class Experiment:
     resolution: Array | None = None
     """Stated smallest step (n,) of the outputs, nan where it is not stated."""
     remarks: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
+    """What the log states otherwise than the model, such as units."""
     hold: Hold | None = None
     correlations: tuple[Array, Array] | None = None
 
@@ -103,7 +106,7 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
         known = log.rows.dtype.names or ()
         require_finite(log, [name for name in _USED if name in known])
     log, resampling_remarks = resample(log)  # all columns, including the schedule
-    base = _imported(log) if "signals.yaml" in log.attachments else _flown(log)
+    base = _imported(log, model) if "signals.yaml" in log.attachments else _flown(log)
     if (base.u.shape[1], base.y.shape[1]) != (len(model.inputs), len(model.dof)):
         raise IdentificationError(
             f"{log.path}: expected the {len(model.inputs)} inputs and {len(model.dof)} outputs of "
@@ -132,7 +135,7 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
     return replace(base, schedule=schedule, rates=rates, moving=moving, remarks=remarks)
 
 
-def _imported(log: Log) -> Experiment:
+def _imported(log: Log, model: ModelConfig) -> Experiment:
     record = imported_record(log)
     signals = parse_text(log.attachments["signals.yaml"], SignalsFile, "signals.yaml")
     # A schema default does not describe the measurement: only a stated value counts.
@@ -151,9 +154,27 @@ def _imported(log: Log) -> Experiment:
         feedback=signals.loop is not None,
         noise_sd=_stated([c.noise_sd for c in outputs]),
         resolution=_stated([c.resolution for c in outputs]),
-        remarks=remarks,
+        remarks=(*record.remarks, *remarks),
+        contradictions=_unit_contradictions(record, model),
         hold=signals.input_hold if stated else None,
     )
+
+
+def _unit_contradictions(record: Record, model: ModelConfig) -> tuple[str, ...]:
+    """Return the inputs and outputs whose unit in the signals file is not that of the model."""
+    inputs = zip(record.input_names, record.input_units, model.inputs, strict=False)
+    outputs = zip(record.output_names, record.output_units, model.dof, strict=False)
+    return tuple(
+        f"{name} is in {_unit_text(unit)} in its signals file, but {axis.name} in "
+        f"{_unit_text(axis.unit)} in model '{model.name}': correct unit and scale in the signals "
+        "file, or the unit of the model; else the parameters are wrong"
+        for name, unit, axis in (*inputs, *outputs)
+        if unit != axis.unit and (known_unit(unit) or unit) != (known_unit(axis.unit) or axis.unit)
+    )
+
+
+def _unit_text(unit: str) -> str:
+    return "unit 1 (none)" if unit == "1" else unit
 
 
 def _stated(values: Sequence[float | None]) -> Array:

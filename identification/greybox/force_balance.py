@@ -1,9 +1,11 @@
 """Fit the equation of motion itself: the force balance of band-limited derivatives of the records.
 
 M q'' + D q' + K q + constant = B u is a regression in the signals and their derivatives, without an
-initial state or a model of the noise (inverse dynamic identification; Gautier, Janot and Vandanjon,
-*IEEE Trans. Control Syst. Technol.* 21, 2013). A zero-phase low-pass limits noise, which the
-derivatives amplify. A plant may be unstable, and its controller unknown. If the model lacks
+initial state or a model of the noise. A zero-phase low-pass limits noise, which the derivatives
+amplify. Noise in the regressors biases least squares; instrumental variables remove that bias: the
+same regressors of simulated or predicted outputs (Janot, Vandanjon and Gautier, *A generic
+instrumental variable approach for industrial robot identification*, IEEE Trans. Control Syst.
+Technol. 22, 2014). A plant may be unstable, and its controller unknown. If the model lacks
 something, the estimate depends on the band and on the order of the equation: the intervals cover
 both.
 """
@@ -13,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +34,9 @@ _STEEPNESS = 8
 """Exponent of the low-pass 1 / (1 + (f/fc)^8): a Butterworth filter of fourth order both ways."""
 _ABOVE_NOISE = 10.0
 """Ratio of an output's power density to its noise at the upper end of the band."""
+_MOST_OF_RATE: dict[Hold, float] = {"zoh": 0.177, "foh": 0.24, "band_limited": 0.35}
+"""Highest limit over the rate. At f the alias of a mass is (f / (rate - f))^3 with a zero-order
+hold, which is 1 % at 0.177, and ^4 with a first-order hold. A band-limited input has none."""
 _BAND_STEPS = (2.4, 1.55, 1.0)
 """The upper limits of the bands, as divisors of the highest."""
 _EDGE = 2.0
@@ -118,20 +124,27 @@ def fit_force_balance(
     hold: Hold,
     names: Sequence[str],
     bounds: tuple[Array, Array, Array],
+    instruments: Sequence[Experiment],
 ) -> ForceBalance:
     """Fit the parameters `names` from the model's values; bounds are low, high and scale (F,).
 
-    Raises IdentificationError for records that are too short for the band, or whose schedule moves.
+    `instruments` are the experiments with outputs and inputs that do not contain the noise of the
+    same rows. Raises IdentificationError for records that are too short for the band, or whose
+    schedule moves.
     """
     limits = _Bounds(*bounds)
-    highest = min(upper_limit(e) for e in experiments)
+    highest = min(upper_limit(e, hold) for e in experiments)
     band_hz = np.array([highest / divisor for divisor in _BAND_STEPS])
     middle = len(band_hz) // 2
-    fits = [_fit(model, _signals(experiments, hold, fc), names, limits) for fc in band_hz]
+    pairs = [
+        (_signals(experiments, hold, fc), _signals(instruments, hold, fc))
+        for fc in band_hz.tolist()
+    ]
+    fits = [_fit(model, *pair, names, limits) for pair in pairs]
     values, se = fits[middle]
-    records = _signals(experiments, hold, float(band_hz[middle]))
+    records = pairs[middle][0]
     at = model.with_values(dict(zip(names, values.tolist(), strict=True)))
-    more, _ = _fit(at, records, names, limits, extra=True)
+    more, _ = _fit(at, *pairs[middle], names, limits, extra=True)
     by_band = np.array([found for found, _ in fits])
     spread = np.max(np.abs(np.vstack([by_band, more]) - values), axis=0)
     return ForceBalance(
@@ -147,15 +160,17 @@ def force_percent(model: DeclaredModel, experiments: Sequence[Experiment], hold:
     """
     if any(e.moving or len(e.y) < _SHORTEST_ROWS for e in experiments):
         return np.full(len(model.dof), np.nan)
-    highest = min(upper_limit(e) for e in experiments)
+    highest = min(upper_limit(e, hold) for e in experiments)
     middle = _BAND_STEPS[len(_BAND_STEPS) // 2]
     return _percent(model, _signals(experiments, hold, highest / middle))
 
 
-def upper_limit(experiment: Experiment) -> float:
+def upper_limit(experiment: Experiment, hold: Hold) -> float:
     """Return the frequency in Hz up to which every output is ten times above its noise.
 
-    The noise is the least power density of the output; a limit is at most 0.35 of the rate.
+    The noise is the least power density of the output. The limit is lower if the steps of a held
+    input reach it: above half the rate a held input has images, of which the sampled outputs of a
+    mass contain an alias. Below the limit it is at most 1 % of the output.
     """
     Ts_s, rows = experiment.Ts_s, len(experiment.y)
     if rows < _SHORTEST_ROWS:
@@ -166,7 +181,7 @@ def upper_limit(experiment: Experiment) -> float:
     freq_hz, psd = welch(detrend(experiment.y, axis=0), 1 / Ts_s, nperseg=segment, axis=0)
     width = max(len(freq_hz) // 32, 1)
     kernel = np.ones(width) / width
-    limit = 0.35 / Ts_s
+    limit = _MOST_OF_RATE[hold] / Ts_s
     for density in psd[1:].T:
         smooth = np.convolve(density, kernel, mode="same")
         inside = smooth[width : len(smooth) - width] if len(smooth) > 4 * width else smooth
@@ -247,34 +262,36 @@ def _percent(model: DeclaredModel, records: Sequence[_Signals]) -> Array:
 def _fit(
     model: DeclaredModel,
     records: Sequence[_Signals],
+    instruments: Sequence[_Signals],
     names: Sequence[str],
     bounds: _Bounds,
     extra: bool = False,
 ) -> tuple[Array, Array]:
-    """Return values and standard errors (F,) by Gauss-Newton steps on the force residual.
+    """Return values and standard errors (F,) by instrumental variables on the force residual.
 
-    The search starts from several delays, as the residual has local minima in a delay. `extra`: one
-    derivative more of each output, with a free coefficient in each equation.
+    The instruments are its derivatives for the instruments' signals. The search starts from several
+    delays, as the residual has local minima in a delay. `extra`: one derivative more of each
+    output, with a free coefficient in each equation.
     """
     weight = 1.0 / np.maximum(_scale(model, records), np.finfo(float).tiny)
 
-    def residual(at: Array) -> list[Array]:
+    def residual(at: Array, of: Sequence[_Signals] = records) -> list[Array]:
         moved = model.with_values(dict(zip(names, at.tolist(), strict=True)))
-        return [_residuals(moved, record)[0] * weight for record in records]
+        return [_residuals(moved, record)[0] * weight for record in of]
 
     nuisance = [_more(record) for record in records] if extra else None
 
-    def jacobian(at: Array) -> Array:
-        columns = [_column(residual, at, i, bounds) for i in range(len(names))]
-        return np.column_stack([_stacked(c, nuisance) for c in columns])
+    def jacobian(at: Array, of: Sequence[_Signals]) -> Array:
+        columns = [_column(partial(residual, of=of), at, i, bounds) for i in range(len(names))]
+        return np.column_stack([_stacked(c, nuisance) for c in columns]) * bounds.scale
 
     best, least = np.zeros(0), np.inf
     for start in _starts(model, names, bounds, records[0].Ts_s):
         values = start
         for _ in range(_STEPS):
             r = _stacked(residual(values), nuisance)
-            J = jacobian(values) * bounds.scale
-            move = -np.linalg.lstsq(J, r, rcond=1e-10)[0]
+            Q = np.linalg.qr(jacobian(values, instruments))[0]
+            move = -np.linalg.lstsq(Q.T @ jacobian(values, records), Q.T @ r, rcond=1e-10)[0]
             before, values = values, np.clip(values + move * bounds.scale, bounds.low, bounds.high)
             if np.max(np.abs(values - before) / bounds.scale) < _CONVERGED:
                 break
@@ -282,7 +299,8 @@ def _fit(
         squares = float(left @ left)
         if squares < least:
             best, least = values, squares
-    return best, _standard_errors(jacobian(best), _stacked(residual(best), nuisance))
+    J, Z = jacobian(best, records), jacobian(best, instruments)
+    return best, bounds.scale * _standard_errors(J, Z, _stacked(residual(best), nuisance))
 
 
 def _starts(
@@ -328,12 +346,14 @@ def _scale(model: DeclaredModel, records: Sequence[_Signals]) -> Array:
     return np.asarray(left.std(axis=0))
 
 
-def _standard_errors(J: Array, r: Array) -> Array:
-    """Return standard errors (F,) from sums over blocks: the residuals within one are dependent."""
-    scale = np.maximum(np.linalg.norm(J, axis=0), np.finfo(float).tiny)
-    scaled = J / scale
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14)
-    pieces = zip(np.array_split(scaled, _BLOCKS), np.array_split(r, _BLOCKS), strict=True)
+def _standard_errors(J: Array, Z: Array, r: Array) -> Array:
+    """Return standard errors (F,) from sums over blocks: the residuals within one are dependent.
+
+    J are the derivatives of the residuals r, Z those of the instruments.
+    """
+    Q = np.linalg.qr(Z)[0]
+    inverse = np.linalg.pinv(Q.T @ J, rcond=1e-10)
+    pieces = zip(np.array_split(Q, _BLOCKS), np.array_split(r, _BLOCKS), strict=True)
     scores = np.array([part.T @ left for part, left in pieces])
     middle = scores.T @ scores * (_BLOCKS / (_BLOCKS - 1))
-    return np.asarray(np.sqrt(np.diag(inverse @ middle @ inverse)) / scale)
+    return np.asarray(np.sqrt(np.diag(inverse @ middle @ inverse.T)))

@@ -17,12 +17,17 @@ from .experiment_from_log import Experiment
 from .fit import Fit, fit_model
 from .force_balance import SURE_95, ForceBalance, fit_force_balance
 from .free_parameters import free_parameters
+from .free_run import free_run
+from .intersample_input import Hold
+from .multistep_prediction import predict_ahead
 from .noise_model import Noise
-from .validation import Validation, validate, whiteness
+from .validation import Validation, metric_of, validate, whiteness
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+_NEAR = 0.5
+"""Error of a simulation over the output's standard deviation up to which it is an instrument."""
 _WHITE = 1e-3
 """Probability by chance above which prediction errors count as white."""
 
@@ -86,7 +91,8 @@ def identify_grey_box(
     Raises IdentificationError for a closed-loop record if the model's input is not zoh, and as
     fit_model does.
     """
-    remarks = _compare_holds(config, experiments)
+    units = dict.fromkeys(text for e in experiments for text in e.contradictions)
+    remarks = (*units, *_compare_holds(config, experiments))
     imported = all(e.correlations is None for e in experiments)
     if imported:
         remarks += tuple(f"record '{e.name}': {text}" for e in experiments for text in e.remarks)
@@ -155,7 +161,12 @@ def _with_force_balance(
     records = [q.experiment for q in fit.predictions]
     try:
         found = fit_force_balance(
-            fit.model, records, config.input, free.names, (free.low, free.high, free.scale)
+            fit.model,
+            records,
+            config.input,
+            free.names,
+            (free.low, free.high, free.scale),
+            [_instrument(fit, e, config.input) for e in records],
         )
     except IdentificationError as error:
         return (
@@ -181,6 +192,22 @@ def _with_force_balance(
         covariance=np.diag((half_width / SURE_95) ** 2),
     )
     return moved, found, (note,)
+
+
+def _instrument(fit: Fit, e: Experiment, hold: Hold) -> Experiment:
+    """Return the experiment with simulated outputs and inputs, or with predicted outputs.
+
+    A simulation has no noise of the record; the prediction one row ahead has none of its own row. A
+    simulation that is far from the record is a poor instrument.
+    """
+    if metric_of(fit.model, e) == "free_run":
+        run = free_run(fit.model, e, hold, fit.noise)
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = (run.y - e.y).std(axis=0)
+        if np.all(error < _NEAR * e.y.std(axis=0)):
+            return replace(e, y=run.y, u=run.u)
+    ahead = predict_ahead(fit.model, e, hold, fit.noise, 1)
+    return replace(e, y=np.where(np.isfinite(ahead), ahead, e.y))
 
 
 def _drifting(checks: Sequence[Validation], experiments: Sequence[Experiment]) -> tuple[str, ...]:

@@ -14,8 +14,10 @@ from ...config.base import ConfigError, Strict, parse_text
 from ...config.model import ModelConfig, load_model
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
+from ...log.clipping import clipping_remarks
+from ...log.importer import REMARKS
 from ...log.reader import Log
-from ...log.signals_yaml import SignalsFile
+from ...log.signals_yaml import Column, SignalsFile
 from ...model.geometry import shape_matrix
 from .record import (
     BEAM_POSITION_TOLERANCE_M,
@@ -201,8 +203,18 @@ def imported_record(log: Log) -> Record:
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
         feedback=signals.loop is not None,
-        remarks=tuple(truncation_remarks(log)),
+        remarks=(*truncation_remarks(log), *_import_remarks(log, (*inputs, *outputs))),
     )
+
+
+def _import_remarks(log: Log, columns: Sequence[Column]) -> list[str]:
+    """Return what the import changed, and the columns that seem to be clipped."""
+    found = log.metadata.get(REMARKS, "").splitlines()
+    for column in columns:
+        found += clipping_remarks(
+            column.name, column.unit, log.field(column.name), output=column.role == "output"
+        )
+    return found
 
 
 def _attached(log: Log, name: str, schema: type[S]) -> S:

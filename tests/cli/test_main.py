@@ -21,7 +21,7 @@ steps:
   - record: {name: tilt, duration_s: 2, settle_s: 0.5, excite: [psi]}
   - land: {}
 """
-VERBS = ["check", "run", "excite", "status", "land", "clear", "identify", "import", "demo"]
+VERBS = ["check", "run", "excite", "status", "land", "clear", "identify", "new", "import", "demo"]
 
 
 @pytest.fixture

@@ -107,6 +107,7 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
     remarks = tuple(truncation_remarks(log))
     log, resampling_remarks = resample(log)
     if "signals.yaml" in log.attachments:
+        remarks = (*experiment.contradictions, *experiment.remarks)
         return replace(_imported(experiment, model), remarks=remarks)
     at_limit = cycles_at_limit(log)
     if at_limit:

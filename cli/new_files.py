@@ -1,0 +1,59 @@
+"""`levid new`: write drafts of YAML files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .output_folder_check import quoted
+from .progress import say
+
+
+@click.group("new")
+def group() -> None:
+    """Write a draft of a YAML file, to be completed by hand.
+
+    \b
+    Examples:
+      levid new signals motor.csv -o motor.yaml
+    """
+
+
+@group.command("signals")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Path of the new SIGNALS.yaml. Default: FILE with the ending .yaml.",
+)
+def signals(file: Path, out: Path | None) -> int:
+    """Write a draft of the SIGNALS.yaml for the data in FILE (CSV, text, NPZ, MAT).
+
+    The draft lists the columns of FILE with units from its header, the column with the time, and
+    roles where a name says it. Prints what to check, what to fill in, and the next command.
+
+    \b
+    Examples:
+      levid new signals motor.csv -o motor.yaml
+      levid import motor.csv --signals motor.yaml -o motor.mcap
+    """
+    from ..log.draft_signals import draft_signals
+    from ..log.errors import LogError
+
+    draft = draft_signals(file)
+    out = file.with_suffix(".yaml") if out is None else out
+    try:
+        with out.open("x", encoding="utf-8") as new:
+            new.write(draft.text)
+    except FileExistsError:
+        raise LogError(f"{out}: exists; a draft is never written over a file") from None
+    click.echo(f"{out}: draft written")
+    for text in draft.fill_in:
+        click.echo(f"fill in: {text}")
+    for text in draft.check:
+        click.echo(text if text.startswith("check") else f"check: {text.replace(': check:', ':')}")
+    log = file.with_suffix(".mcap")
+    say(f"next: levid import {quoted(file)} --signals {quoted(out)} -o {quoted(log)}")
+    return 0

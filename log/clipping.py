@@ -1,0 +1,81 @@
+"""Detect signals that rest at their highest or lowest value, as a clipped signal does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_BINS = 200
+_LEAST_SHARE = 0.005
+_LEAST_ROWS = 10
+_NEIGHBOURS = 5
+_RATIO = 5.0
+"""Least ratio of the rows in the outermost bin to the mean of its neighbours. A sine has 3.4, a
+Gaussian signal clipped at two standard deviations 20."""
+_LEAST_LEVELS = 20
+"""Least number of bins between the extremes with values. Steps and binary signals have fewer: they
+rest at levels that are meant."""
+
+
+@dataclass(frozen=True)
+class ClippedLevel:
+    """A level at which a signal rests: its value, the share of rows there, its side."""
+
+    level: float
+    share: float
+    side: str
+
+
+def clipped_levels(values: Array) -> list[ClippedLevel]:
+    """Return the extreme levels at which a signal (N,) rests; NaN counts as missing.
+
+    The histogram decides: far more rows in the outermost bin, 0.5 % of the range, than in the bins
+    beside it. Rows at rest before the signal starts and after it ends do not count.
+    """
+    values = _trimmed(values[~np.isnan(values)])
+    if len(values) < _LEAST_ROWS or np.ptp(values) == 0.0:
+        return []
+    counts, _ = np.histogram(values, _BINS)
+    if np.count_nonzero(counts[1:-1]) < _LEAST_LEVELS:
+        return []
+    found = []
+    for side, level, ordered in (
+        ("highest", float(values.max()), counts[::-1]),
+        ("lowest", float(values.min()), counts),
+    ):
+        rows, others = int(ordered[0]), ordered[1:]
+        # Coarsely quantised values leave bins empty.
+        beside = float(np.mean(others[others > 0][:_NEIGHBOURS]))
+        if rows >= max(_LEAST_ROWS, _LEAST_SHARE * len(values)) and rows > _RATIO * beside:
+            found.append(ClippedLevel(level, rows / len(values), side))
+    return found
+
+
+def clipping_remarks(name: str, unit: str, values: Array, *, output: bool) -> list[str]:
+    """Return a remark for each level at which an input or output (N,) rests."""
+    what = (
+        "if the sensor is at the end of its range there, or the motion at a stop, the model is "
+        "biased: leave these rows out (key rows)"
+        if output
+        else "harmless if this level is intended or an amplifier limits it; if only the "
+        "measurement is clipped, the true input is larger and gains are biased: repeat with less "
+        "excitation"
+    )
+    number = "" if unit == "1" else f" {unit}"
+    return [
+        f"{name} rests at its {found.side} value, {found.level:.4g}{number}, in "
+        f"{100 * found.share:.2g} % of the rows: {what}"
+        for found in clipped_levels(values)
+    ]
+
+
+def _trimmed(values: Array) -> Array:
+    """Return the values without rows at rest at the beginning and at the end."""
+    if not len(values):
+        return values
+    moving = np.flatnonzero(values[1:] != values[:-1])
+    return values[moving[0] : moving[-1] + 2] if len(moving) else values[:1]

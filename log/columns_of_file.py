@@ -1,0 +1,205 @@
+"""List the columns of numbers in a data file: names, units and shapes."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .array_variables import MATLAB_OBJECT, Variable, list_variables, load_npz, read_variables
+from .delimited_text import open_text, read_delimited
+from .errors import LogError
+from .header_units import HeaderCell, header_cell
+from .importer import file_format
+from .mat_file_reader import list_mat, read_mat
+from .signals_yaml import Format, SignalsFile
+from .text_layout import MISSING, date, number, rows, text_layout
+
+Array = NDArray[np.float64]
+
+_SAMPLE_ROWS = 100
+_LEAST_SAMPLES = 10
+_MOST_SIGNALS = 32
+"""Most signals of one matrix that are listed."""
+_PERIODS = ("ts", "dt", "sampletime", "samplingtime", "period", "tsample")
+_RATES = ("fs", "rate", "samplerate", "samplingrate", "fsample", "ratehz")
+"""Names of scalars with the sampling time in s and the rate in Hz, in lower case without '_'."""
+
+
+@dataclass(frozen=True)
+class FileColumn:
+    """A column of numbers, with `column` and `index` as in SIGNALS.yaml.
+
+    label: its name without unit; label and unit are "" if the file does not state them. dates:
+    whether the cells are dates or times of day.
+    """
+
+    column: int | str
+    label: str
+    unit: str = ""
+    index: int | None = None
+    dates: bool = False
+
+
+@dataclass(frozen=True)
+class FileColumns:
+    """Columns of numbers of one length; what else the file holds; where samples of a matrix are.
+
+    rate: name and value in Hz of a scalar that says the rate; None without one.
+    """
+
+    format: Format
+    columns: tuple[FileColumn, ...]
+    others: tuple[str, ...] = ()
+    samples: str = "rows"
+    rate: tuple[str, float] | None = None
+
+
+def list_columns(path: Path) -> FileColumns:
+    """Return the columns of a data file; raise LogError if it cannot be read."""
+    kind = file_format(path)
+    if kind in ("csv", "text"):
+        return _text_columns(path, kind)
+    variables = list_variables(load_npz(path)) if kind == "npz" else list_mat(path)
+    return _array_columns(kind, variables)
+
+
+def read_columns(path: Path, found: FileColumns) -> list[Array]:
+    """Return the values of the columns, each (N,), in the units of the file, dates in s.
+
+    A column whose values cannot be read is empty.
+    """
+    dates = [i for i, column in enumerate(found.columns) if column.dates]
+    others = [i for i in range(len(found.columns)) if i not in dates]
+    values = [np.empty(0)] * len(found.columns)
+    # Only a column of role time may hold dates, and only one column may have this role.
+    for group in (others, *([i] for i in dates)):
+        entries = [
+            {
+                "column": found.columns[i].column,
+                "index": found.columns[i].index,
+                "name": f"c{i}",
+                "unit": "s",
+                "role": "time" if found.columns[i].dates else "other",
+            }
+            for i in group
+        ]
+        if not entries:
+            continue
+        signals = SignalsFile.model_validate(
+            {"levid": "signals", "rate_hz": 1, "samples": found.samples, "columns": entries}
+        )
+        try:
+            read = _read(path, found.format, signals)
+        except LogError:
+            continue  # the import reports it with its line
+        for i, column_values in zip(group, read, strict=True):
+            values[i] = column_values
+    return values
+
+
+def _read(path: Path, kind: Format, signals: SignalsFile) -> list[Array]:
+    if kind in ("csv", "text"):
+        return read_delimited(path, signals, whitespace=kind == "text").values
+    if kind == "npz":
+        return read_variables(path, signals, load_npz(path))
+    return read_mat(path, signals)
+
+
+def _text_columns(path: Path, kind: Format) -> FileColumns:
+    try:
+        with open_text(path) as file:
+            layout = text_layout(file, whitespace=kind == "text")
+            if layout is None:
+                return FileColumns(kind, ())
+            file.seek(0)
+            lines = (r for r in rows(file, layout.separator) if r[0] >= layout.first_line)
+            sample = [cells for _, cells in itertools.islice(lines, _SAMPLE_ROWS)]
+    except (OSError, csv.Error) as error:
+        raise LogError(f"{path}: cannot be read: {error}") from None
+    columns, others = [], []
+    texts = [cell.text for cell in layout.cells or ()]
+    for place in range(layout.width):
+        cells = [row[place] for row in sample if place < len(row)]
+        text = texts[place] if texts else ""
+        # A name that is empty or occurs twice cannot be given.
+        reference: int | str = text if text and texts.count(text) == 1 else place
+        values = [number(cell) for cell in cells if cell.lower() not in MISSING]
+        dates = [date(cell) for cell in cells]
+        if not values or (None in values and None in dates):
+            others.append(f"column {place} {text!r}: no numbers")
+            continue
+        cell = layout.cells[place] if layout.cells else HeaderCell("", "")
+        if None in values:
+            columns.append(FileColumn(reference, cell.name or "time", "s", dates=True))
+        else:
+            columns.append(FileColumn(reference, cell.name, cell.unit))
+    return FileColumns(kind, tuple(columns), tuple(others))
+
+
+def _array_columns(kind: Format, variables: Sequence[Variable]) -> FileColumns:
+    lengths = Counter(max(v.shape) for v in variables if v.shape and max(v.shape) >= _LEAST_SAMPLES)
+    length = max(lengths, key=lambda n: (lengths[n], n), default=0)
+    matrices = [v for v in variables if len(v.shape) == 2 and min(v.shape) > 1]
+    samples = "columns" if [v for v in matrices if v.shape[1] == length] else "rows"
+    labels = {v.path.rpartition(".")[0]: v.value for v in variables if _is_label(v)}
+    columns: list[FileColumn] = []
+    others: list[str] = []
+    for variable in variables:
+        shape = variable.shape
+        if variable.content is None and length and len(shape) and max(shape) == length:
+            label = labels.get(variable.path.rpartition(".")[0])
+            last = variable.path.rpartition(".")[2]
+            cell = header_cell(str(label) if last == "values" and label else last)
+            if int(np.prod(shape)) == length:
+                columns.append(FileColumn(variable.path, cell.name, cell.unit))
+                continue
+            signals = shape[1] if shape[0] == length else shape[0]
+            fits = len(shape) == 2 and (shape[0] == length) == (samples == "rows")
+            if fits and signals <= _MOST_SIGNALS:
+                columns += _matrix_columns(variable, signals, cell.name, only=len(matrices) == 1)
+                continue
+        others.append(_described(variable))
+    return FileColumns(kind, tuple(columns), tuple(others), samples, _rate(variables))
+
+
+def _matrix_columns(
+    variable: Variable, signals: int, label: str, *, only: bool
+) -> list[FileColumn]:
+    """Return the signals of a matrix: by number if it is the file's only one, else by index."""
+    if only and "." not in variable.path:
+        return [FileColumn(number, "") for number in range(signals)]
+    return [FileColumn(variable.path, f"{label}_{n}", index=n) for n in range(signals)]
+
+
+def _is_label(variable: Variable) -> bool:
+    return variable.path.endswith(".label") and bool(variable.value)
+
+
+def _described(variable: Variable) -> str:
+    if variable.content == MATLAB_OBJECT:
+        return MATLAB_OBJECT  # its name is not known
+    if variable.content is not None:
+        text = f" {variable.value!r}" if variable.value else ""
+        return f"{variable.path}: {variable.content}{text}"
+    if isinstance(variable.value, float):
+        return f"{variable.path} = {variable.value:g}"
+    return f"{variable.path}: {' x '.join(map(str, variable.shape))}"
+
+
+def _rate(variables: Sequence[Variable]) -> tuple[str, float] | None:
+    for variable in variables:
+        value, name = variable.value, variable.path.rpartition(".")[2].lower().replace("_", "")
+        if not isinstance(value, float) or not 0.0 < value < np.inf:
+            continue
+        if name in _PERIODS:
+            return f"{variable.path} = {value:g} s", 1.0 / value
+        if name in _RATES:
+            return f"{variable.path} = {value:g} Hz", value
+    return None

@@ -1,0 +1,231 @@
+"""Write a draft of a SIGNALS.yaml from a data file: columns, units, time, and roles by name."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
+from .errors import LogError
+from .header_units import is_time_name, known_unit
+from .time_grid import fit_grid
+
+Array = NDArray[np.float64]
+
+_VOLTAGE = frozenset({"voltage", "volt", "spannung"})
+_CURRENT = frozenset({"current", "strom", "i"})
+_INPUTS = frozenset(
+    {*_VOLTAGE, *_CURRENT, "u", "input", "in", "force", "kraft", "torque", "moment", "command"}
+    | {"cmd", "duty", "pwm", "actuator"}
+)
+_OUTPUTS = frozenset(
+    {"y", "output", "out", "position", "pos", "x", "angle", "phi", "theta", "displacement", "gap"}
+    | {"velocity", "vel", "speed", "acceleration", "acc", "encoder", "weg", "winkel", "drehzahl"}
+)
+_REFERENCES = frozenset({"ref", "reference", "setpoint", "target", "soll", "sollwert"})
+"""Words in a column's name that state its role."""
+_RESERVED = ("time_s", "cycle")
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.]*")
+_WORDS = frozenset({"yes", "no", "on", "off", "true", "false", "null"})
+"""Words that YAML does not read as text."""
+FILL_IN = "FILL_IN"
+
+
+@dataclass(frozen=True)
+class Draft:
+    """Text of a SIGNALS.yaml; what to fill in before it can be used; what to check."""
+
+    text: str
+    fill_in: tuple[str, ...]
+    check: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A line of the list of columns; `doubt` and the range of the values become its comment."""
+
+    column: FileColumn
+    name: str
+    unit: str
+    scale: float
+    role: str
+    doubt: str = ""
+    span: str = ""
+
+
+def draft_signals(path: Path) -> Draft:
+    """Return a draft of the SIGNALS.yaml for a data file.
+
+    Raises:
+        LogError: not a data file, or a file without columns of numbers.
+    """
+    found = list_columns(path)
+    if not found.columns:
+        listed = "; ".join(found.others[:20]) or "nothing"
+        raise LogError(f"{path}: expected columns of numbers of one length, found {listed}")
+    values = read_columns(path, found)
+    time, rate_lines, fill_in = _time(path, found, values)
+    entries = _entries(found.columns, values, time)
+    roles = {entry.role for entry in entries}
+    missing = [role for role in ("input", "output") if role not in roles]
+    if missing:
+        entries = [
+            replace(e, doubt=f"fill in: role: {' or '.join(missing)}?")
+            if e.role == "other" and not e.doubt
+            else e
+            for e in entries
+        ]
+        fill_in = (*fill_in, f"role: {' and '.join(missing)}; the columns without a role are other")
+    lines = [
+        f"# Draft for {_one_line(path.name)}",
+        "# Check the lines marked 'check', and complete the lines marked 'fill in'.",
+        "# docs/configuration.md, section SIGNALS.yaml, describes all keys.",
+        "levid: signals",
+        *rate_lines,
+        *(["samples: columns"] if found.samples == "columns" else []),
+        "# input_hold: zoh   # input between samples: held (zoh), linear (foh), or band_limited",
+        "columns:",
+        *(_line(entry) for entry in entries),
+    ]
+    if found.others:
+        lines += ["# Not listed above:", *(f"#   {_one_line(other)}" for other in found.others)]
+    check = tuple(f"{e.name}: {e.doubt}" for e in entries if e.doubt.startswith("check"))
+    return Draft("\n".join(lines) + "\n", fill_in, check)
+
+
+def _time(
+    path: Path, found: FileColumns, values: Sequence[Array]
+) -> tuple[_Entry | None, list[str], tuple[str, ...]]:
+    """Return the column with the time, the lines on the rate, and what to fill in."""
+    for number in _time_candidates(found.columns, values):
+        column = found.columns[number]
+        unit = column.unit or "s"
+        known = known_unit(unit)
+        assert known is not None
+        doubt = "" if column.unit else "check: unit"
+        unit = known.si if known.factor == 1.0 else unit
+        try:
+            time_s = known.factor * values[number][~np.isnan(values[number])]
+            grid = fit_grid(str(path), time_s, np.arange(len(time_s)))
+        except LogError:
+            continue
+        rate = [f"# The time column gives the rate, {1.0 / grid.period_s:.6g} Hz."]
+        if not grid.regular:
+            rate = [
+                "# The time stamps are irregular. This key interpolates them to a constant rate:",
+                "# resample: true",
+            ]
+        return _Entry(column, _unique("t", []), unit, 1.0, "time", doubt), rate, ()
+    if found.rate is not None:
+        name, rate_hz = found.rate
+        return None, [f"rate_hz: {rate_hz:.10g}   # check: from {_one_line(name)}"], ()
+    line = f"rate_hz: {FILL_IN}   # fill in: samples per second"
+    return None, [line], ("rate_hz: samples per second",)
+
+
+def _time_candidates(columns: Sequence[FileColumn], values: Sequence[Array]) -> list[int]:
+    """Return columns that may hold the time: by name, by unit, or the first of unnamed ones."""
+
+    def is_time(column: FileColumn) -> bool:
+        unit = known_unit(column.unit) if column.unit else None
+        if unit is not None:
+            return unit.si == "s"
+        return not column.unit and is_time_name(column.label)
+
+    named = [i for i, column in enumerate(columns) if is_time(column)]
+    first = not columns[0].label and len(values[0]) > 1 and np.all(np.diff(values[0]) > 0.0)
+    return named or ([0] if first else [])
+
+
+def _entries(
+    columns: Sequence[FileColumn], values: Sequence[Array], time: _Entry | None
+) -> list[_Entry]:
+    words = [set(_words(column.label)) for column in columns]
+    has_voltage = any(own & _VOLTAGE for own in words)
+    entries: list[_Entry] = []
+    for number, (column, own) in enumerate(zip(columns, words, strict=True)):
+        taken = [entry.name for entry in entries]
+        if time is not None and column == time.column:
+            entries.append(replace(time, name=_unique("t", taken)))
+            continue
+        role, doubt = "other", ""
+        if own & _CURRENT and has_voltage:
+            doubt = "check: input if the current is controlled, output if the voltage is"
+        elif own & _REFERENCES:
+            role, doubt = "reference", "check: role"
+        elif own & _INPUTS and not own & _OUTPUTS:
+            role, doubt = "input", "check: role"
+        elif own & _OUTPUTS and not own & _INPUTS:
+            role, doubt = "output", "check: role"
+        known = known_unit(column.unit) if column.unit else None
+        unit, scale = (known.si, known.factor) if known else (_usable(column.unit), 1.0)
+        if not column.unit and doubt:
+            doubt = f"{doubt}, unit"
+        stem = "_".join(_words(column.label)) or f"column_{number}"
+        ending = _ending(unit)
+        if ending and not stem.endswith(f"_{ending}"):
+            stem = f"{stem}_{ending}"
+        span = _span(values[number], column.unit)
+        entries.append(_Entry(column, _unique(stem, taken), unit, scale, role, doubt, span))
+    return entries
+
+
+def _line(entry: _Entry) -> str:
+    keys = [f"column: {_scalar(entry.column.column)}"]
+    if entry.column.index is not None:
+        keys.append(f"index: {entry.column.index}")
+    keys += [f"name: {_scalar(entry.name)}", f"unit: {_scalar(entry.unit)}", f"role: {entry.role}"]
+    if entry.scale != 1.0:
+        keys.append(f"scale: {entry.scale:.10g}")
+    comment = "; ".join(text for text in (entry.doubt, entry.span) if text)
+    return f"  - {{{', '.join(keys)}}}{f'   # {comment}' if comment else ''}"
+
+
+def _span(values: Array, unit: str) -> str:
+    """Return the range of a column in the unit of the file."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return ""
+    return f"values {known.min():.4g} to {known.max():.4g}{f' {_usable(unit)}' if unit else ''}"
+
+
+def _words(text: str) -> list[str]:
+    """Return the words of a name in lower case: letters and digits of ASCII."""
+    apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    return re.findall(r"[a-z]+\d*|\d+", apart.lower())
+
+
+def _ending(unit: str) -> str:
+    """Return a unit as the end of a name, such as m_s2 for m/s2."""
+    return "hz" if unit == "1/s" else "_".join(_words(unit)) if unit != "1" else ""
+
+
+def _usable(unit: str) -> str:
+    """Return a unit that a SIGNALS.yaml accepts; 1 for none."""
+    return re.sub(r"[\[\],#\s]+", " ", unit).strip() or "1"
+
+
+def _unique(stem: str, taken: Iterable[str]) -> str:
+    stem = stem if stem[:1].isalpha() else f"column_{stem}"
+    names = {*taken, *_RESERVED}
+    numbered = (f"{stem}_{number}" for number in range(2, 10_000))
+    return stem if stem not in names else next(name for name in numbered if name not in names)
+
+
+def _scalar(value: int | str) -> str:
+    """Return a value as YAML."""
+    if isinstance(value, int):
+        return str(value)
+    if _PLAIN.fullmatch(value) and value.lower() not in _WORDS:
+        return value
+    return json.dumps(value, ensure_ascii=not value.isprintable())
+
+
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text)[:200]

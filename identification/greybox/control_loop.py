@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from scipy.stats import f as f_distribution
+from scipy.stats import norm
 
 from ...log.reader import Log
 from ...log.signals_yaml import SignalsFile
@@ -25,6 +27,8 @@ _CHANCE = 1e-6
 _EXPLAINED = 0.005
 """Least share of the rest's variance that outputs and references explain if the controller is
 wrong: an excitation with a long memory has a smaller one by itself."""
+_CONSTANT = 1e-3
+"""Varying part of a response to a unit reference below which it counts as constant."""
 _LAGS = 20
 _TEST_ROWS = 20_000
 
@@ -93,8 +97,9 @@ def imported_loop(
     seen = np.hstack([record.y, reference[:, np.flatnonzero(np.ptp(reference, axis=0))]])
     for i, name, share in zip(driven, law.drives, shares, strict=True):
         part, chance = explained_by(rest[:, i], seen)
-        if chance < _CHANCE and part > _EXPLAINED:
-            scale = _scale_of(explained[:, i] - v[:, i], record.v[:, i] - v[:, i])
+        scale, z = scale_of(explained[:, i] - v[:, i], record.v[:, i] - v[:, i])
+        by_scale = 2.0 * norm.sf(abs(z))
+        if by_scale < _CHANCE or (chance < _CHANCE and part > _EXPLAINED):
             return assumed, (
                 f"loop: the stated controller did not command this record. It leaves {share:.2g} % "
                 f"of {name} (RMS), and outputs and references explain {100 * part:.2g} % of what "
@@ -135,38 +140,60 @@ def explained_by(rest: Array, signals: Array) -> tuple[float, float]:
     return 1.0 - with_signals / without, float(f_distribution.sf(statistic, *freedom))
 
 
-def _scale_of(explained: Array, command: Array) -> float:
-    """Return the factor on the controller's output (N,) that fits the command (N,) best.
+def scale_of(explained: Array, command: Array) -> tuple[float, float]:
+    """Return the factor on the controller's output (N,) that fits the command, and z of "it is 1".
 
-    Earlier values of both are regressors too: an excitation in the command may have any spectrum.
+    What the controller leaves is whitened by its own autoregression, and so is the output: the new
+    part of an excitation is independent of the output of the same row. z is the deviation from 1 in
+    standard deviations. The best factor leaves the least to predict.
     """
     explained, command = explained[:_TEST_ROWS], command[:_TEST_ROWS]
-    lags = min(_LAGS, len(command) // 8)
-    rows = range(1, lags + 1)
-    before = [x[lags - k : len(x) - k] for x in (explained, command) for k in rows]
-    X = np.column_stack([explained[lags:], *before, np.ones(len(command) - lags)])
-    size = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
-    found = np.linalg.lstsq(X / size, command[lags:], rcond=1e-10)[0] / size
-    return float(found[0])
+    change, z, _ = _scale_change(command - explained, explained)
+
+    def left(factor: float) -> float:
+        return float(np.log(_scale_change(command - factor * explained, explained)[2]))
+
+    found = minimize_scalar(left, bracket=(1.0, 1.0 + change), options={"xtol": 1e-3})
+    return float(found.x), z
+
+
+def _scale_change(rest: Array, explained: Array) -> tuple[float, float, float]:
+    """Return a change of the factor, z of "it is 0", and the new part's mean square without it."""
+    lags = min(_LAGS, len(rest) // 8)
+    before = np.column_stack(
+        [np.ones(len(rest) - lags), *(rest[lags - k : len(rest) - k] for k in range(1, lags + 1))]
+    )
+    size = np.maximum(np.linalg.norm(before, axis=0), np.finfo(float).tiny)
+    taps = np.linalg.lstsq(before / size, rest[lags:], rcond=1e-10)[0] / size
+    whitener = np.concatenate([[1.0], -taps[1:]])
+    new_rest, new = (np.convolve(x, whitener, mode="valid") for x in (rest, explained))
+    new_rest, new = new_rest - new_rest.mean(), new - new.mean()
+    power = max(float(new @ new), np.finfo(float).tiny)
+    change = float(new @ new_rest) / power
+    left = new_rest - change * new
+    error = np.sqrt(max(float(left @ left), np.finfo(float).tiny) / (len(left) - lags) / power)
+    square = max(float(np.mean(new_rest**2)), np.finfo(float).tiny)
+    return change, float(change / error), square
 
 
 def _set_point(controller: Controller, column: int, record: Record, v: Array) -> float:
     """Estimate a constant reference that is not stated, from the commands.
 
-    It has the command's response to a unit reference; the initial state adds a constant at least.
+    With an integral its effect grows with time; without, it cannot be told from a constant
+    excitation, and takes all of it.
     """
     zero = np.zeros((len(record.y), controller.references))
     plain = controller.unlimited()
     rest = record.v - plain.output(zero, record.y, v)[0]
     unit = zero.copy()
     unit[:, column] = 1.0
-    nothing = np.zeros_like(record.v)
-    by_unit = plain.output(unit, np.zeros_like(record.y), nothing)[0]
-    acting = np.flatnonzero(np.any(by_unit, axis=0))
-    X = np.column_stack([by_unit[:, acting].ravel(), np.ones(by_unit[:, acting].size)])
-    size = np.maximum(np.linalg.norm(X, axis=0), np.finfo(float).tiny)
-    found = np.linalg.lstsq(X / size, rest[:, acting].ravel(), rcond=1e-12)[0] / size
-    return float(found[0])
+    by_unit = plain.output(unit, np.zeros_like(record.y), np.zeros_like(record.v))[0]
+    acting = np.any(by_unit, axis=0)
+    x, target = by_unit[:, acting], rest[:, acting]
+    varying = x - x.mean(axis=0)
+    if np.linalg.norm(varying) > _CONSTANT * np.linalg.norm(x):
+        x, target = varying, target - target.mean(axis=0)
+    return float(np.sum(x * target) / np.sum(x**2))
 
 
 def _references(log: Log, sources: Sequence[str | float | None], rows: int) -> Array:

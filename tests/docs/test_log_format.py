@@ -43,5 +43,9 @@ def test_foreign_log_of_the_docs_is_written_read_and_identified(tmp_path, monkey
 
 
 def test_example_of_a_signals_file_is_valid():
-    (example,) = blocks("yaml")
-    assert SignalsFile.model_validate(yaml.safe_load(example)).rate_hz == 610.35
+    plain, loop = map(yaml.safe_load, blocks("yaml"))
+    assert SignalsFile.model_validate(plain).rate_hz == 610.35
+    law = SignalsFile.model_validate({"levid": "signals", "rate_hz": 1000.0, **loop}).loop
+    assert law is not None
+    assert law.law is not None
+    assert law.law.drives == ("u_v",)

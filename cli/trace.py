@@ -145,13 +145,24 @@ def words(found: Trace) -> list[str]:
     """Return the results as lines of text; +- is a 95 % interval."""
     from ..identification.records.record import OTHER_STEP
     from ..identification.trace.found_effects_summary import NO_STILL, PERHAPS_A_PART, outcome
+    from ..identification.trace.residual.free_run_error import percent_of_pose
 
     result = outcome(found)
-    lines = [
-        f"error on held-out records over sensor noise: {result.before:.3g} before, "
-        f"{result.after:.3g} after, noise floor {result.floor:.3g}",
-        result.verdict,
-    ]
+    if result.noise_measured:
+        lines = [
+            f"error on held-out records over sensor noise: {result.before:.3g} before, "
+            f"{result.after:.3g} after, noise floor {result.floor:.3g}"
+        ]
+    else:
+        pairs = zip(
+            found.places.dof,
+            percent_of_pose(found.before),
+            percent_of_pose(found.after),
+            strict=True,
+        )
+        parts = [f"{name} {b:.3g} % before, {a:.3g} % after" for name, b, a in pairs]
+        lines = [f"free-run error on held-out records, over the output: {'; '.join(parts)}"]
+    lines.append(result.verdict)
     if result.doubtful:
         lines.append(
             f"unreliable: the effects explain {100 * result.explained:.2g} % of the initial error; "

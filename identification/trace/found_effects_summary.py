@@ -14,14 +14,21 @@ from ...config.model import EffectParameter, ModelConfig, ModelEffect
 from ...model.effects.base import Effect, Placed, Places
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
-from .residual.free_run_error import RecordError, pooled, pooled_pose, shares
+from .residual.free_run_error import (
+    RecordError,
+    percent_of_pose,
+    pooled,
+    pooled_pose,
+    shares,
+)
 from .residual.random_vibration import RandomVibration
 from .run_trace import Trace
 from .search.candidate_screening import Round, Tried
 
 Array = NDArray[np.float64]
 
-METRIC = (
+METRIC = "free_run"
+ABOUT_METRIC = (
     "RMS of the free-run simulation error over rows and sensors, in standard deviations of the "
     "sensor noise, on held-out records; the first 5 s do not count (the first third of records "
     "under 15 s)"
@@ -35,6 +42,7 @@ NO_STILL = (
     "No record is still: the noise is estimated from the fit's residual, which includes undeclared "
     "effects. The residual may be above noise; free forms and vibration were not searched."
 )
+_NO_FLOOR = "no record tells noise from the model's error"
 _IN_DOUBT, _EXPLAINED = 2.0, 2.0 / 3.0
 """Named effects are uncertain if the error stays above this multiple of the noise floor and they
 explain less than this share of the squared error above it."""
@@ -121,10 +129,11 @@ class DofError:
 class Outcome:
     """The result of a trace in numbers.
 
-    before, after, floor: METRIC of the refitted declared model, of the model with effects, and of
-    noise alone. mean_square: of the one-step-ahead errors after the trace on held-out records, in
-    noise variances; `beyond`: the same of the readings' non-rigid free-run error, None without
-    redundant sensors. `nearest`: candidates of the last round that explain most, none significant.
+    before, after, floor: ABOUT_METRIC of the refitted declared model, of the model with effects,
+    and of noise alone. mean_square: of the one-step-ahead errors after the trace on held-out
+    records, in noise variances; `beyond`: the same of the readings' non-rigid free-run error, None
+    without redundant sensors. `nearest`: candidates of the last round that explain most, none
+    significant.
     gone: accepted or declared effects removed because others explain the same; followed: removed
     because they followed random forces. noise_measured: the noise comes from still records.
     """
@@ -205,7 +214,7 @@ class Outcome:
         if self.overrated:
             return f"no conclusion: {self._too_loud}"
         if not self.noise_measured:
-            return "nothing found above the fit's noise estimate; no record is still"
+            return f"no effect added, and no conclusion on the residual: {_NO_FLOOR}"
         return "nothing found: the model explains the records down to the noise"
 
     @property
@@ -215,7 +224,7 @@ class Outcome:
             return "the residual is above noise"
         if self.overrated:
             return f"no conclusion on the residual: {self._too_loud}"
-        return "the residual is noise" + ("" if self.noise_measured else " by the fit's estimate")
+        return "the residual is noise" if self.noise_measured else f"residual: {_NO_FLOOR}"
 
     @property
     def _too_loud(self) -> str:
@@ -270,10 +279,15 @@ def summary(trace: Trace) -> dict[str, Any]:
     """Return the result as dicts, lists, finite numbers and text, for JSON.
 
     effects: name, class, where, parameters with value, standard error and unit, and evidence of
-    each; declared effects are not included. validation: metric, before, after, noise_floor,
-    noise_measured, per_dof, per_record. unexplained: the residual. None replaces nan.
+    each; declared effects are not included. validation: metric, before, after, noise_floor (None
+    if no still record measures the noise), percent (error over output, by DOF), noise_measured,
+    per_dof, per_record. unexplained: the residual. None replaces nan.
     """
     found = outcome(trace)
+    percent = {
+        "before": dict(zip(trace.places.dof, percent_of_pose(trace.before), strict=True)),
+        "after": dict(zip(trace.places.dof, percent_of_pose(trace.after), strict=True)),
+    }
     plain: dict[str, Any] = _plain(
         {
             "effects": [
@@ -282,16 +296,18 @@ def summary(trace: Trace) -> dict[str, Any]:
             ],
             "validation": {
                 "metric": METRIC,
+                "about": ABOUT_METRIC,
+                "percent": percent,
                 "before": found.before,
                 "after": found.after,
-                "noise_floor": found.floor,
+                "noise_floor": found.floor if found.noise_measured else None,
                 "noise_measured": found.noise_measured,
                 "per_dof": {
                     d.name: {
                         "unit": d.unit,
                         "before": d.before,
                         "after": d.after,
-                        "noise_floor": d.floor,
+                        "noise_floor": d.floor if found.noise_measured else None,
                     }
                     for d in found.dof
                 },
@@ -303,7 +319,10 @@ def summary(trace: Trace) -> dict[str, Any]:
                 "doubtful": found.doubtful,
                 "mean_square": found.mean_square,
                 "per_dof": {
-                    d.name: {"times_noise_floor": d.after / d.floor, "band_hz": list(d.band_hz)}
+                    d.name: {
+                        "times_noise_floor": d.after / d.floor if found.noise_measured else None,
+                        "band_hz": list(d.band_hz),
+                    }
                     for d in found.dof
                 },
                 "beyond_rigid": found.beyond,
@@ -338,7 +357,11 @@ def _per_record(trace: Trace) -> list[dict[str, Any]]:
                 name: {
                     "before": float(np.sqrt(b.pose_squares[i])),
                     "after": float(np.sqrt(a.pose_squares[i])),
-                    "noise_floor": float(np.sqrt(a.pose_floor[i])),
+                    "noise_floor": (
+                        float(np.sqrt(a.pose_floor[i]))
+                        if trace.found.point.disturbance.measured
+                        else None
+                    ),
                 }
                 for i, name in enumerate(trace.places.dof)
             },

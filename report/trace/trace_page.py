@@ -58,7 +58,8 @@ def _title(result: Outcome) -> str:
         return listed([f.effect.name for f in result.effects] + [s.name for s in result.shaken])
     if result.significant:
         return "something unexplained"
-    return "nothing can be told" if result.overrated else "nothing found"
+    unknown = result.overrated or not result.noise_measured
+    return "nothing can be told" if unknown else "nothing found"
 
 
 def _words(result: Outcome, views: Views) -> list[Text]:
@@ -94,6 +95,13 @@ def _words(result: Outcome, views: Views) -> list[Text]:
 def _headline(result: Outcome) -> str:
     before, after, floor = (f"{v:.3g}" for v in (result.before, result.after, result.floor))
     measure = "times the sensors' noise (RMS, free-running, on records that were not fitted)"
+    if not result.noise_measured:
+        found = f"; with {_count(len(result.effects))} found, {after}" if result.effects else ""
+        return (
+            f"The declared model misses these records by {before} times the estimated noise (RMS, "
+            f"free-running, on records that were not fitted){found}. No record tells how much of "
+            "that is noise."
+        )
     if result.effects:
         return (
             f"The declared model misses these records by {before} {measure}; with "
@@ -251,7 +259,15 @@ def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
                 f"levid trace LOG... --model {model} --out DIR",
             )
         )
-    if not steps:
+    if not steps and not result.noise_measured:
+        steps.append(
+            (
+                "Record a stretch without excitation as well: it tells noise from the model's "
+                "error, which these records do not.",
+                "",
+            )
+        )
+    elif not steps:
         steps.append(
             (
                 "Nothing: the model is as good as these records can tell. Larger or longer "

@@ -89,8 +89,12 @@ def test_json_has_the_documented_keys(flown: Path, tmp_path: Path, levid: Comman
 
     validation = result["validation"]
     assert set(validation) == {
-        *("metric", "before", "after", "noise_floor", "noise_measured", "per_dof", "per_record")
+        *("metric", "about", "percent", "before", "after", "noise_floor", "noise_measured"),
+        *("per_dof", "per_record"),
     }
+    assert validation["metric"] == "free_run"
+    # The excitation moves z far above the noise.
+    assert validation["percent"]["after"]["z"] < 0.5 * validation["percent"]["before"]["z"] < 50
     assert set(validation["per_dof"]) == {"psi", "theta", "z"}
     assert validation["noise_measured"]
     second = next(r for r in validation["per_record"] if r["record"] == "second")

@@ -25,7 +25,8 @@ class RecordError:
 
     rows, seconds: length of the rows that count. squares: mean square over rows and sensors, in
     sensor noise variances; floor: the same of noise alone. pose_squares, pose_floor (n,): mean
-    squares of the pose's error in SI units. freq_hz (F,), psd (F, n): one-sided spectrum of the
+    squares of the pose's error in SI units; pose_power (n,): those of the pose, without its mean.
+    freq_hz (F,), psd (F, n): one-sided spectrum of the
     pose's error. settled: whether the simulation with effects converged.
     """
 
@@ -36,6 +37,7 @@ class RecordError:
     floor: float
     pose_squares: Array
     pose_floor: Array
+    pose_power: Array
     freq_hz: Array
     psd: Array
     settled: bool
@@ -68,6 +70,7 @@ def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
         float(np.mean(shown)) / sd**2 + 1.0,
         np.mean(pose**2, axis=0),
         np.diag(moved) + point.disturbance.noise.output_variance,
+        np.var(record.gap[run.counts_from :] @ T.T, axis=0),
         freq_hz,
         psd,
         run.settled,
@@ -89,6 +92,17 @@ def pooled_pose(errors: Sequence[RecordError]) -> tuple[Array, Array]:
     squares = np.array([e.pose_squares for e in errors])
     floors = np.array([e.pose_floor for e in errors])
     return np.sqrt(weights @ squares), np.sqrt(weights @ floors)
+
+
+def percent_of_pose(errors: Sequence[RecordError]) -> Array:
+    """Return the RMS error of each DOF (n,) over the pose's RMS without its mean, in per cent."""
+    weights = shares(errors)
+    squares, power = (
+        weights @ np.array([getattr(e, name) for e in errors])
+        for name in ("pose_squares", "pose_power")
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(100.0 * np.sqrt(squares / power))
 
 
 def shares(errors: Sequence[RecordError]) -> Array:

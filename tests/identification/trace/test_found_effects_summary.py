@@ -93,10 +93,12 @@ def test_errors_far_below_the_noise_show_an_overestimated_noise() -> None:
     )
 
 
-def test_verdict_mentions_noise_estimated_by_the_fit() -> None:
-    assert "the fit's noise estimate" in without_effects(measured=False).verdict
+def test_nothing_is_claimed_of_a_residual_without_measured_noise() -> None:
+    unknown = "no record tells noise from the model's error"
+    assert without_effects(measured=False).verdict.endswith(unknown)
+    assert "nothing found" not in without_effects(measured=False).verdict
     assert result(20.0, 1.0).rest == "the residual is noise"
-    assert replace(result(20.0, 1.0), noise_measured=False).rest.endswith("by the fit's estimate")
+    assert replace(result(20.0, 1.0), noise_measured=False).rest == f"residual: {unknown}"
 
 
 def test_distinguishing_experiments_are_listed_for_effect_and_rival() -> None:

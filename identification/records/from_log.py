@@ -352,7 +352,7 @@ def require_fields(log: Log, names: Sequence[str], use: str) -> None:
     missing = [name for name in names if name not in present]
     if missing:
         raise IdentificationError(
-            f"{log.path}: {use} needs the fields {', '.join(names)}; {', '.join(missing)} missing "
+            f"{log.path}: found no field {', '.join(missing)}, which {use} needs "
             "(docs/log-format.md, 'Logs of other rigs')"
         )
 

@@ -59,6 +59,8 @@ class _LogContents:
     experiments: list[Experiment]
     reasons: list[str]
     errors: list[IdentificationError]
+    unfitted: list[str]
+    """Logs that the fit of the declared model cannot use, with the reason."""
 
 
 def study(
@@ -117,7 +119,8 @@ def study(
                 raise (errors[0] if errors else error) from None
             notes.append(f"the declared model was not fitted: {error}")
     if errors and points is None and grey is None and not multisine:
-        raise errors[0]
+        others = "".join(f"; {reason}" for reason in found.unfitted[:1])
+        raise IdentificationError(f"{errors[0]}{others}")
     return Study(points, multisine, grey, tuple(notes))
 
 
@@ -125,7 +128,7 @@ def _read(
     logs: Sequence[Path], model_of: Callable[[Log], ModelConfig | None], report: Progress
 ) -> tuple[_LogContents, ModelConfig | None]:
     """Read every log once, and return the contents and the declared model."""
-    found, model = _LogContents([], [], [], [], []), None
+    found, model = _LogContents([], [], [], [], [], []), None
     duplicates = DuplicateCheck()
     for number, path in enumerate(logs):
         report(path.name, number / len(logs))
@@ -209,7 +212,8 @@ def _sort_log(log: Log, model: ModelConfig | None, found: _LogContents) -> None:
         except (IdentificationError, LogError) as error:
             if reason is not None:
                 raise
-            found.reasons.append(f"not used for the declared model: {error}")
+            found.unfitted.append(f"not used for the declared model: {error}")
+            found.reasons.append(found.unfitted[-1])
     if reason is not None:
         found.reasons.append(str(reason))
 

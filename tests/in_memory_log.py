@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.recfunctions import drop_fields
 
 from levid.config.shipped import shipped
 from levid.log.reader import Log
@@ -25,3 +26,8 @@ def cycle_log(file: str, rows: np.ndarray, **changes: object) -> Log:
         problem=None,
     )
     return replace(log, **changes)
+
+
+def without(log: Log, *names: str) -> Log:
+    """Return the log without these fields."""
+    return replace(log, rows=drop_fields(log.rows, names, usemask=False))

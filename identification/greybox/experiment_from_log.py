@@ -20,11 +20,14 @@ from ..records.from_log import (
     FEED_FORWARD,
     POSE,
     REFERENCE,
+    array_field,
     columns,
     controller_of,
     imported_record,
     log_remarks,
+    require_fields,
     require_finite,
+    require_stated_rate,
     rig_of,
 )
 from ..records.record import OTHER_STEP, IdentificationError, NotARecordError, Record
@@ -41,6 +44,8 @@ _USED = (
     *("rotor_rad", "rotor_rad_s"),
 )
 """Fields of a rig log that a fit or a trace reads."""
+_REQUIRED = (*EXCITATION, *FEED_FORWARD, *REFERENCE, *POSE, "coil_n")
+"""Fields that a rig log needs for a fit; the model's scheduling variables are added."""
 _STILL = 1e-3
 """A scheduling variable that varies by less than this share of its range counts as constant."""
 _SMOOTH = 0.1
@@ -105,6 +110,8 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
     if log.metadata.get("kind") == "record":
         known = log.rows.dtype.names or ()
         require_finite(log, [name for name in _USED if name in known])
+        if "signals.yaml" not in log.attachments and len(log.rows) > 1:
+            require_stated_rate(log)
     log, resampling_remarks = resample(log)  # all columns, including the schedule
     base = _imported(log, model) if "signals.yaml" in log.attachments else _flown(log)
     if (base.u.shape[1], base.y.shape[1]) != (len(model.inputs), len(model.dof)):
@@ -113,7 +120,8 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
             f"model '{model.name}', found {base.u.shape[1]} and {base.y.shape[1]}"
         )
     names = log.rows.dtype.names or ()
-    missing = [v.signal for v in model.scheduling.values() if v.signal not in names]
+    signals = dict.fromkeys(v.signal for v in model.scheduling.values())
+    missing = [signal for signal in signals if signal not in names]
     if missing:
         raise IdentificationError(
             f"{log.path}: expected the model's signals, found no {', '.join(missing)}"
@@ -186,12 +194,13 @@ def _flown(log: Log) -> Experiment:
     kind = log.metadata.get("kind")
     if kind != "record":
         raise NotARecordError(f"{log.path.name}: kind '{kind or 'none'}' skipped, {OTHER_STEP}")
+    require_fields(log, _REQUIRED, "the declared model")
     gains = controller_of(log)
     geometry = rig_of(log).geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     T = decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
     loop = ControlLoop(
-        columns(log, EXCITATION) + log.field("coil_excitation_n").astype(float) @ S,
+        columns(log, EXCITATION) + coil_excitation(log, len(S)) @ S,
         columns(log, REFERENCE),
         columns(log, FEED_FORWARD),
         np.zeros((len(log.rows), len(POSE))),
@@ -200,7 +209,7 @@ def _flown(log: Log) -> Experiment:
     return Experiment(
         log.metadata.get("name") or log.path.stem,
         1.0 / log.rate_hz,
-        np.asarray(log.field("coil_n").astype(float) @ S),
+        np.asarray(array_field(log, "coil_n", len(S), "coils") @ S),
         columns(log, POSE),
         {},
         frozenset(),
@@ -212,6 +221,14 @@ def _flown(log: Log) -> Experiment:
         hold="zoh",
         correlations=(correlation(S.T @ S), correlation(T @ T.T)),
     )
+
+
+def coil_excitation(log: Log, coils: int) -> Array:
+    """Return the excitation of each coil (N, coils) in N; zeros for a rig log without the field."""
+    name = "coil_excitation_n"
+    if name not in (log.rows.dtype.names or ()):
+        return np.zeros((len(log.rows), coils))
+    return array_field(log, name, coils, "coils")
 
 
 def _schedule(log: Log, signal: str, derivative: bool, Ts_s: float) -> Array:

@@ -56,9 +56,10 @@ def align_commands(
     other rows the command acted in time, unless the readback shows an earlier one.
 
     The model of the readback is a first-order lag with gain and offset for each coil. If it does
-    not fit, the readback is ignored.
+    not fit, the readback is ignored; so are rows with a readback that is not finite.
     """
     n = len(command)
+    known = known & np.isfinite(readback).all(axis=1)
     last_row = np.maximum.accumulate(np.where(absent, -1, np.arange(n)))
     last_row = np.maximum(last_row, 0)
     source = last_row.copy()

@@ -118,13 +118,9 @@ def _inputs(log: Log) -> tuple[Array, Array, tuple[str, ...]]:
         remark = f"no field {_COILS}: coil forces are assumed to equal the demand, without limits"
         return unlimited, unlimited, (remark,)
     require_finite(log, [_COILS])
-    coils, geometry = log.field(_COILS).astype(float), rig_of(log).geometry
+    geometry = rig_of(log).geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
-    if coils.shape[1:] != (len(S),):
-        raise IdentificationError(
-            f"{log.path}: {_COILS}: expected the {len(S)} coils of rig.yaml, found "
-            f"{' x '.join(map(str, coils.shape[1:])) or 'one value a row'}"
-        )
+    coils = array_field(log, _COILS, len(S), "coils")
     return unlimited, coils @ S - feed_forward, ()
 
 
@@ -287,6 +283,14 @@ def _require(log: Log, names: Sequence[str]) -> None:
         raise NotARecordError(
             f"{log.path}: expected at least {_MIN_ROWS} rows, found {len(log.rows)}"
         )
+    require_stated_rate(log)
+
+
+def require_stated_rate(log: Log) -> None:
+    """Raise IdentificationError if the log times contradict rate_hz, or show missing rows.
+
+    Missing rows are an error only in logs whose rows have no number, and in imported logs.
+    """
     time_ns, half = log.log_time_ns.astype(np.int64), len(log.rows) // 2
     time_s = 1e-9 * (time_ns - time_ns[0])
     # The second value serves log times that scatter: their median step is not the period.
@@ -300,7 +304,7 @@ def _require(log: Log, names: Sequence[str]) -> None:
             f"{log.path}: rate_hz: expected the rate of the log times, one row every "
             f"{steps_s[0]:g} s, found {log.rate_hz:g} Hz"
         )
-    if "signals.yaml" in log.attachments or "cycle" not in present:
+    if "signals.yaml" in log.attachments or "cycle" not in (log.rows.dtype.names or ()):
         _require_no_missing_samples(log, time_s, period_s)
 
 
@@ -340,6 +344,28 @@ def require_finite(log: Log, names: Sequence[str]) -> None:
                 f"{values[tuple(wrong[0])]} in row {row}{more} of record "
                 f"'{log.metadata.get('name') or log.path.stem}'"
             )
+
+
+def require_fields(log: Log, names: Sequence[str], use: str) -> None:
+    """Raise IdentificationError, with file, `use` and the missing fields, if a field is missing."""
+    present = log.rows.dtype.names or ()
+    missing = [name for name in names if name not in present]
+    if missing:
+        raise IdentificationError(
+            f"{log.path}: found no field {', '.join(missing)}, which {use} needs "
+            "(docs/log-format.md, 'Logs of other rigs')"
+        )
+
+
+def array_field(log: Log, name: str, length: int, what: str) -> Array:
+    """Return a field with one value for each coil or sensor (`what`) of rig.yaml, (N, length)."""
+    values = log.rows[name].astype(float)
+    if values.shape[1:] != (length,):
+        raise IdentificationError(
+            f"{log.path}: {name}: expected the {length} {what} of rig.yaml, found "
+            f"{' x '.join(map(str, values.shape[1:])) or 'one value a row'}"
+        )
+    return np.asarray(values)
 
 
 def columns(log: Log, names: Sequence[str]) -> Array:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from in_memory_log import without
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
@@ -119,3 +120,38 @@ def test_constant_output_is_noted(logs, monkeypatch):
     notes = [note for note in found.notes if "is constant" in note]
     assert len(notes) == 1
     assert notes[0].startswith("altered-0.mcap: psi is constant")
+
+
+def test_error_of_poor_excitation_states_why_the_model_was_not_fitted(logs):
+    model = load_model(shipped("models/rig.yaml"))
+    for path in logs:
+        rewrite_without("beam_m_s", path)
+    expected = "fly white noise.*; not used for the declared model: .* found no beam_m_s"
+    with pytest.raises(IdentificationError, match=expected):
+        studies.study(logs, lambda _log: model, Options())
+
+
+def test_still_log_without_coil_forces_does_not_end_the_study(logs, monkeypatch):
+    monkeypatch.setattr(
+        studies, "identify", lambda records, *_rest: SimpleNamespace(points=records, skipped=())
+    )
+    monkeypatch.setattr(studies, "_doubt_notes", lambda _points: [])
+    model = load_model(shipped("models/rig.yaml"))
+    for path in logs:
+        rewrite_without("coil_n", path, still=path == logs[0])
+    found = studies.study(logs, lambda _log: model, Options())
+    assert [record.name for record in found.points.points] == ["theta_n_m", "z_n"]
+
+
+def rewrite_without(name, path, *, still=False):
+    """Write the log again without a field; `still`: also without excitation."""
+    log = without(read_log(path), name)
+    rows = log.rows.copy()
+    if still:
+        for axis in ("v_psi_n_m", "v_theta_n_m", "v_z_n"):
+            rows[axis] = 0.0
+    path.unlink()
+    with LogWriter(
+        path, rows.dtype, rate_hz=1000.0, metadata=log.metadata, attachments=log.attachments
+    ) as writer:
+        writer.write(rows, log.log_time_ns)

@@ -54,8 +54,19 @@ def read_records(
             f"expected records among the {len(logs)} logs, found none: {'; '.join(notes)}"
         )
     records = _with_unique_names(records)
-    notes += [f"{r.name}: {remark}" for r in records.values() for remark in r.remarks]
-    return records, tuple(notes)
+    return records, (*notes, *_remarks(list(records.values())))
+
+
+def _remarks(records: Sequence[TraceRecord]) -> list[str]:
+    """Return the remarks of the records with their names; one that all share is given once."""
+    shared = [
+        remark
+        for remark in records[0].remarks
+        if len(records) > 1 and all(remark in r.remarks for r in records)
+    ]
+    return [f"all records: {remark}" for remark in shared] + [
+        f"{r.name}: {remark}" for r in records for remark in r.remarks if remark not in shared
+    ]
 
 
 def _with_unique_names(records: dict[Path, TraceRecord]) -> dict[Path, TraceRecord]:

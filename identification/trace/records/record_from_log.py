@@ -14,14 +14,28 @@ from ....config.rig import Geometry, RigConfig
 from ....log.reader import Log
 from ....model.effects.base import Places
 from ....model.geometry import shape_matrix
-from ...greybox.experiment_from_log import Experiment, experiment_from_log
+from ...greybox.experiment_from_log import Experiment, coil_excitation, experiment_from_log
 from ...greybox.noise_model import Filter
-from ...records.from_log import cycles_at_limit, truncation_remarks
+from ...records.from_log import (
+    array_field,
+    cycles_at_limit,
+    require_fields,
+    truncation_remarks,
+)
 from ...records.resampling import resample
 from .stuck_sensors import stuck_rows
 
 Array = NDArray[np.float64]
 
+_REQUIRED = ("time_s", "gap_m", "beam_m", "beam_m_s")
+"""Fields that a rig log needs for a trace, in addition to those for a fit."""
+_ROTOR = ("rotor_rad", "rotor_rad_s")
+_WITHOUT = {
+    ("coil_excitation_n",): "excitation of single coils is assumed to be zero",
+    ("beam_force_n",): "friction and cogging of the beam's drives cannot be found",
+    _ROTOR: "the rotor is assumed to rest",
+}
+"""Fields that a rig log may lack, and what the trace assumes without them."""
 _SILENT = 1e-9
 SHORTEST_S = 1.0
 """Least duration of a record, or of a held-out part."""
@@ -115,24 +129,27 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
             f"{at_limit} of {len(log.rows)} cycles with saturated coils, which the free-run "
             "simulation does not include: the error there counts as the model's",
         )
+    names = log.rows.dtype.names or ()
+    require_fields(log, _REQUIRED, "a trace")
+    for fields, assumed in _WITHOUT.items():
+        if missing := [name for name in fields if name not in names]:
+            remarks += (f"no field {' and '.join(missing)}: {assumed}",)
     geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
     places = rig_places(geometry, model)
-    beam, rotor = (
-        _motion(log, axis, experiment.Ts_s) for axis in (("beam", "m"), ("rotor", "rad"))
-    )
-    gap = log.field("gap_m").astype(float)
-    coil = log.field("coil_n").astype(float)
-    coil_excitation = log.field("coil_excitation_n").astype(float)
+    gap = array_field(log, "gap_m", places.sensors, "sensors")
+    rotor = np.zeros((len(gap), 3))
+    if set(_ROTOR) <= set(names):
+        rotor = _motion(log, ("rotor", "rad"), experiment.Ts_s)
     record = TraceRecord(
         experiment,
         places,
         log.field("time_s").astype(float),
         gap,
-        coil,
-        coil_excitation,
-        beam,
+        array_field(log, "coil_n", places.coils, "coils"),
+        coil_excitation(log, places.coils),
+        _motion(log, ("beam", "m"), experiment.Ts_s),
         rotor,
-        log.field("beam_force_n").astype(float),
+        log.field("beam_force_n").astype(float) if "beam_force_n" in names else None,
         "",
         stuck_rows(gap, places.sensor_shape),
         (*remarks, *resampling_remarks),

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from in_memory_log import cycle_log
+from in_memory_log import cycle_log, without
 
 from levid.config.model import ModelConfig, Scheduling, load_model
 from levid.config.shipped import shipped
@@ -118,3 +118,38 @@ def test_constant_force_of_the_model_does_not_change_predictions() -> None:
     )
     assert experiment.moving
     np.testing.assert_array_equal(heavy, light)
+
+
+@pytest.mark.parametrize("name", ["psi_rad", "z_ref_m", "v_psi_n_m", "ff_z_n", "coil_n"])
+def test_missing_field_of_the_fit_is_named(name: str) -> None:
+    log = without(flown(np.full(4000, 0.05)), name)
+    with pytest.raises(IdentificationError, match=f"found no field {name}, which the declared"):
+        experiment_from_log(log, load_model(shipped("models/rig.yaml")))
+
+
+def test_missing_signal_of_two_scheduling_variables_is_named_once() -> None:
+    log = without(flown(np.full(4000, 0.05)), "beam_m_s")
+    with pytest.raises(IdentificationError, match=r"found no beam_m_s$"):
+        experiment_from_log(log, load_model(shipped("models/rig.yaml")))
+
+
+def test_log_without_coil_excitation_has_none() -> None:
+    log, model = flown(np.full(4000, 0.05)), load_model(shipped("models/rig.yaml"))
+    whole, less = (
+        experiment_from_log(one, model) for one in (log, without(log, "coil_excitation_n"))
+    )
+    np.testing.assert_array_equal(whole.loop.v, less.loop.v)
+
+
+def test_missing_rows_without_cycle_numbers_are_an_error() -> None:
+    log, model = flown(np.full(4000, 0.05)), load_model(shipped("models/rig.yaml"))
+    kept = np.arange(4000) != 2000
+    cut = replace(log, rows=log.rows[kept], log_time_ns=log.log_time_ns[kept])
+    with pytest.raises(IdentificationError, match=r"missing samples: .* before row 2000"):
+        experiment_from_log(without(cut, "cycle"), model)
+
+
+def test_rate_that_contradicts_the_log_times_is_an_error() -> None:
+    log = replace(flown(np.full(4000, 0.05)), rate_hz=900.0)
+    with pytest.raises(IdentificationError, match=r"rate_hz: .* found 900 Hz"):
+        experiment_from_log(log, load_model(shipped("models/rig.yaml")))

@@ -112,6 +112,14 @@ def test_without_readback_the_earlier_command_acted_in_a_skipped_period() -> Non
     assert found.rows["coil_n"][700] == pytest.approx(log.rows["coil_n"][699])
 
 
+def test_readback_that_is_not_a_number_is_ignored() -> None:
+    log = flown(1000)
+    log.rows["coil_readback_n"] = np.nan
+    found, remarks = resample(skipping(log, [700]))
+    assert remarks[0] == "1 of 1000 periods were skipped (0.10%)"
+    assert found.rows["coil_n"][700] == pytest.approx(log.rows["coil_n"][699])
+
+
 def test_readback_that_does_not_follow_commands_is_ignored() -> None:
     log = flown(1000)
     log.rows["coil_readback_n"] = np.random.default_rng(3).normal(size=(1000, 9))

@@ -18,12 +18,15 @@ from .progress import progress, say
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
     from ..config.sim import SimConfig
+    from ..identification.options import Options
     from ..identification.records.signal_names import SignalNames
     from ..identification.run_identification import Study
     from ..log.reader import Log
     from ..report.identification.closed_loop import Truth
 
 
+_REAL = 1.0 - 1e-9
+"""Damping ratio of a real pole, up to rounding."""
 _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 
 
@@ -40,6 +43,21 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
     help="SIM.yaml of the simulated flight: the report draws its true response for comparison; "
     "the identification does not use it.",
 )
+@click.option(
+    "--order", type=click.IntRange(1, 50), help="Number of states; default: chosen from the data."
+)
+@click.option(
+    "--impulse-s",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Length of the impulse response in s; default: chosen from the data.",
+)
+@click.option(
+    "--markov",
+    type=click.Choice(["least_squares", "correlation"]),
+    default="least_squares",
+    show_default=True,
+    help="Estimator of the impulse response; see docs/correlation.md.",
+)
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
 @click.option("--mat", is_flag=True, help="Also write OUT/identified.mat for MATLAB and Octave.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
@@ -47,6 +65,9 @@ def command(
     logs: tuple[Path, ...],
     model: Path | None,
     truth: Path | None,
+    order: int | None,
+    impulse_s: float | None,
+    markov: str,
     out: Path,
     mat: bool,
     as_json: bool,
@@ -63,9 +84,13 @@ def command(
       levid identify out/first/*.mcap --out out/first/identification
       levid identify out/first/*.mcap out/beam/*.mcap --out out/all --mat
       levid identify arm.mcap --out out/arm --json
+      levid identify arm.mcap --order 6 --impulse-s 0.4 --out out/arm-6
     """
+    from ..identification.options import Options
+
     began = time.time()
-    found, page = identify_logs(logs, model, truth, out)
+    options = Options(markov=markov, order=order, impulse_s=impulse_s)
+    found, page = identify_logs(logs, model, truth, out, options)
     if mat:
         _write_mat(found, out)
     for old in older_results(out, _RESULTS, began):
@@ -85,7 +110,11 @@ def command(
 
 
 def identify_logs(
-    logs: Sequence[Path], model: Path | None, truth: Path | None, out: Path
+    logs: Sequence[Path],
+    model: Path | None,
+    truth: Path | None,
+    out: Path,
+    options: Options | None = None,
 ) -> tuple[Study, Path]:
     """Identify the plant from logs and write the report and model.yaml to `out`.
 
@@ -122,7 +151,8 @@ def identify_logs(
         return declared or rig_model(log)
 
     with progress("identifying") as report:
-        found = study(logs, model_of, Options(), lambda what, share: report(what, 0.85 * share))
+        chosen = options or Options()
+        found = study(logs, model_of, chosen, lambda what, share: report(what, 0.85 * share))
         # Save the model first: the results of a long fit survive an error in the report.
         out.mkdir(parents=True, exist_ok=True)
         if found.grey is not None:
@@ -160,6 +190,8 @@ def words(found: Study) -> list[str]:
             if p["se"] is not None
         ]
         lines += grey["unidentifiable"]
+        if any(point["kind"] == "open loop" for point in plain.get("points", [])):
+            lines += _errors(grey["validation"], names)
     # Omit notes on skipped steps (harmless) and notes already printed as warnings.
     warned = _contradictions(found)
     lines += [
@@ -207,9 +239,10 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
     lines += [f"  note: {text}" for text in point["remarks"] if not text.startswith(of_records)]
     if "order_gap" in point:
         return lines
+    lines += _modes(point["model"]["modes"])
     for held in point["holdout"]:
         for kind, fits in (
-            ("simulated", held["simulated_fit_percent"]),
+            ("simulated", held["simulated_fit_percent"] if point["stable"] else None),
             ("one step ahead", held["predicted_fit_percent"]),
         ):
             texts = [
@@ -218,6 +251,40 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
             ]
             if texts:
                 lines.append(f"  last {held['rows']} rows (held out), {kind}: {', '.join(texts)}")
+    return lines
+
+
+def _modes(modes: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a line for each mode with an interval; +- is a 95 % interval."""
+    from ..identification.subspace.response_uncertainty import SURE_95
+
+    lines = []
+    for m in modes:
+        if m["frequency_se_hz"] is None or m["damping_se"] is None:
+            continue
+        f, f_half = m["frequency_hz"], SURE_95 * m["frequency_se_hz"]
+        if abs(m["damping"]) > _REAL:
+            pole, half = -2 * math.pi * f * math.copysign(1.0, m["damping"]), 2 * math.pi * f_half
+            lines.append(f"  pole: {pole:.4g} +- {half:.2g} 1/s")
+            continue
+        damping = f"{m['damping']:.3g} +- {SURE_95 * m['damping_se']:.2g}"
+        lines.append(f"  mode: {f:.5g} +- {f_half:.2g} Hz, damping ratio {damping}")
+    return lines
+
+
+def _errors(validation: Sequence[dict[str, Any]], names: Sequence[str]) -> list[str]:
+    """Return a line for each record of imported data: errors in per cent of output and force."""
+    lines = []
+    for v in validation:
+        metric = "free run"
+        if v["metric"] == "prediction":
+            metric = f"predicted {v['horizon_s']:.2g} s ahead"
+        of = [f"{n} {p:.2g} %" for n, p in zip(names, v["percent"], strict=False) if p is not None]
+        force = [f"{p:.3g} %" for p in v["force_percent"] if p is not None]
+        text = f"{v['record']}: error over output, {metric}: {', '.join(of)}"
+        lines.append(
+            text + (f"; residual force over input force: {', '.join(force)}" if force else "")
+        )
     return lines
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from levid.cli.identify import _multisine
+from levid.cli.identify import _modes, _multisine
 from levid.config.base import load_yaml
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
@@ -251,3 +251,18 @@ def test_distortion_test_is_corrected_for_the_number_of_tests_and_needs_two_real
         [{**bla(None), "tests": {**bla(None)["tests"], "odd": {"p_value": [1e-9]}}}]
     )
     assert line.endswith("distortion found")
+
+
+def test_modes_are_printed_with_intervals_and_real_poles_as_poles() -> None:
+    nothing = {"frequency_hz": 1.0, "frequency_se_hz": None, "damping": 0.5, "damping_se": None}
+    resonance = {
+        "frequency_hz": 6.75,
+        "frequency_se_hz": 0.01,
+        "damping": 0.02,
+        "damping_se": 0.001,
+    }
+    unstable = {"frequency_hz": 5.0, "frequency_se_hz": 0.1, "damping": -1.0, "damping_se": 0.0}
+    assert _modes([nothing, resonance, unstable]) == [
+        "  mode: 6.75 +- 0.02 Hz, damping ratio 0.2 +- 0.02",
+        "  pole: 31.42 +- 1.2 1/s",
+    ]

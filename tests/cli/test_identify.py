@@ -258,8 +258,8 @@ def test_modes_are_printed_with_intervals_and_real_poles_as_poles() -> None:
     resonance = {
         "frequency_hz": 6.75,
         "frequency_se_hz": 0.01,
-        "damping": 0.02,
-        "damping_se": 0.001,
+        "damping": 0.2,
+        "damping_se": 0.01,
     }
     unstable = {"frequency_hz": 5.0, "frequency_se_hz": 0.1, "damping": -1.0, "damping_se": 0.0}
     assert _modes([nothing, resonance, unstable]) == [

@@ -168,7 +168,7 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     if fixed:
         fitted += f"; {fixed} more {_were(fixed)} fixed by the model file"
     texts = [f"{fitted}. {_identifiability_words(report)}"]
-    texts += [f"Model and records contradict each other: {r}." for r in report.grey.remarks]
+    texts += [f"Remark: {r}." for r in report.grey.remarks]
     if fit.at_bound:
         texts.append(
             f"{', '.join(fit.at_bound)} ended at a bound of the model file: the standard error "

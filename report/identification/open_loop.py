@@ -28,8 +28,14 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
     texts = [
         Text(
             f"A system of {p} inputs and {m} outputs, identified from input to output without a "
-            f"known controller. The model that simulates has {point.order} states, the one that "
-            f"predicts a step ahead {point.predictor_order}.",
+            "known controller. "
+            + (
+                f"The model that simulates has {point.order} states, the one that predicts a step "
+                f"ahead {point.predictor_order}."
+                if point.stable
+                else f"The model has {point.order} states and is unstable: it predicts a step "
+                "ahead, and does not simulate."
+            ),
         )
     ]
     for held in _worst_first(point.holdout)[:_MOST_SHOWN]:
@@ -50,8 +56,9 @@ def open_loop_numbers(point: OpenLoopPoint) -> tuple[Number, ...]:
     numbers = [Number(str(point.order), "states of the model")]
     least = ", the least of all records" if len(point.holdout) > _MOST_SHOWN else ""
     for held in _worst_first(point.holdout)[: 1 if least else None]:
-        fits = " / ".join(map(_percent, held.simulated_fit_percent))
-        numbers.append(Number(fits, f"fit simulated, on data kept back{least}"))
+        if point.stable:
+            fits = " / ".join(map(_percent, held.simulated_fit_percent))
+            numbers.append(Number(fits, f"fit simulated, on data kept back{least}"))
         if held.predicted_fit_percent is not None:
             fits = " / ".join(map(_percent, held.predicted_fit_percent))
             numbers.append(Number(fits, f"fit one step ahead, on data kept back{least}"))
@@ -196,8 +203,9 @@ def _order_parts(point: OpenLoopPoint, name: str) -> tuple[Part, ...]:
 def _fit_words(held: HoldOut, signals: SignalLabels) -> str:
     words = []
     for i, name in enumerate(signals.output_symbols):
-        text = f"{name} simulated with a fit of {held.simulated_fit_percent[i]:.1f} %"
+        kinds = {"simulated": held.simulated_fit_percent[i]}
         if held.predicted_fit_percent is not None:
-            text += f", predicted one step ahead with {held.predicted_fit_percent[i]:.1f} %"
-        words.append(text)
+            kinds["predicted one step ahead"] = held.predicted_fit_percent[i]
+        fits = [f"{kind} with a fit of {x:.1f} %" for kind, x in kinds.items() if np.isfinite(x)]
+        words.append(f"{name} {', '.join(fits)}")
     return "; ".join(words)

@@ -125,7 +125,7 @@ def test_figure_14_shows_only_the_first_moving_record(grey, tmp_path):
 def test_contradictions_of_model_and_records_are_reported(grey, tmp_path):
     with_remark = replace(grey, remarks=("record 'x': <held>",))
     text = identification_report(None, None, tmp_path, grey=with_remark).read_text(encoding="utf-8")
-    assert "contradict each other: record &#39;x&#39;: &lt;held&gt;." in text
+    assert "Remark: record &#39;x&#39;: &lt;held&gt;." in text
 
 
 def test_names_from_files_are_escaped(grey, tmp_path):

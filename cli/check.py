@@ -63,7 +63,7 @@ def _check(path: Path, rig_path: Path | None) -> str:
     from ..config.rig import RigConfig
     from ..config.session import SessionConfig
     from ..config.sim import SimConfig
-    from ..log.signals_yaml import SignalsFile
+    from ..log.importing.signals_yaml import SignalsFile
 
     summary = "ok"
     match load_any(path, {"signals": SignalsFile}):

@@ -11,7 +11,7 @@ from .output_folder_check import quoted, same_logs
 from .progress import say
 
 if TYPE_CHECKING:
-    from ..log.importer import Imported
+    from ..log.importing.importer import Imported
 
 LEAST_TRACE_S = 34.0
 """Shortest single record for `levid trace`: it fits to three fifths, which must last 20 s."""
@@ -39,7 +39,7 @@ def command(file: Path, signals: Path, out: Path) -> int:
       levid import motor.csv --signals motor.yaml -o motor.mcap
       levid identify motor.mcap --out out/motor
     """
-    from ..log.importer import import_file
+    from ..log.importing.importer import import_file
 
     found = import_file(file, signals, out)
     for path, rows in found.logs:

@@ -39,8 +39,8 @@ def signals(file: Path, out: Path | None) -> int:
       levid new signals motor.csv -o motor.yaml
       levid import motor.csv --signals motor.yaml -o motor.mcap
     """
-    from ..log.draft_signals import draft_signals
     from ..log.errors import LogError
+    from ..log.importing.draft_signals import draft_signals
 
     draft = draft_signals(file)
     out = file.with_suffix(".yaml") if out is None else out

@@ -23,8 +23,8 @@ from levid.config.sim import SimConfig
 from levid.daemon.control.faults import FAULTS
 from levid.daemon.control.states import TRANSITIONS, State
 from levid.daemon.control.watchdog_times import fall_s, longest_stall, zero_after_s
+from levid.log.importing.signals_yaml import SignalsFile
 from levid.log.signals import SIGNALS
-from levid.log.signals_yaml import SignalsFile
 
 DOCS = Path(__file__).parent
 WORDS = DOCS / "reference.yaml"

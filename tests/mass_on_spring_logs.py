@@ -8,7 +8,7 @@ import numpy as np
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.log.importer import import_file
+from levid.log.importing.importer import import_file
 
 MASS = parse_text(
     """

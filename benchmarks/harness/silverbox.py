@@ -8,7 +8,7 @@ import yaml
 
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
-from levid.log.importer import import_file
+from levid.log.importing.importer import import_file
 
 SOURCE = Path(__file__).resolve().parents[3] / "shared" / "data" / "silverbox" / "SNLS80mV.csv"
 MODEL = shipped("models/silverbox.yaml")

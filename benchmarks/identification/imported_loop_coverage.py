@@ -29,7 +29,7 @@ from levid.identification.greybox.controller_file import controller_of_config
 from levid.identification.greybox.experiment_from_log import experiment_from_log
 from levid.identification.greybox.identify_greybox import GreyBox, identify_grey_box
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.log.importer import import_file
+from levid.log.importing.importer import import_file
 from levid.log.reader import read_log
 from levid.model.controller import Controller
 

@@ -26,7 +26,7 @@ from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, sh
 from levid.config.base import read_mapping
 from levid.config.shipped import shipped
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.log.importer import import_file
+from levid.log.importing.importer import import_file
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 MINUTE = Target(most=60.0)

@@ -11,8 +11,8 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
+from ...log.importing.signals_yaml import SignalsFile
 from ...log.reader import Log
-from ...log.signals_yaml import SignalsFile
 from ...model.controller import Controller
 from ..records.from_log import columns, require_finite
 from ..records.record import Record

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ...config.base import parse_text
 from ...config.model import ModelConfig
-from ...log.header_units import known_unit
+from ...log.importing.header_units import known_unit
+from ...log.importing.signals_yaml import SignalsFile
 from ...log.reader import Log
-from ...log.signals_yaml import SignalsFile
 from ...model.controller import pi_controller
 from ...model.geometry import decoupling_matrix, shape_matrix
 from ..records.from_log import (

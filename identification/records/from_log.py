@@ -14,10 +14,10 @@ from ...config.base import ConfigError, Strict, parse_text
 from ...config.model import ModelConfig, load_model
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
-from ...log.clipping import clipping_remarks
-from ...log.importer import REMARKS
+from ...log.importing.clipping import clipping_remarks
+from ...log.importing.importer import REMARKS
+from ...log.importing.signals_yaml import Column, SignalsFile
 from ...log.reader import Log
-from ...log.signals_yaml import Column, SignalsFile
 from ...model.geometry import shape_matrix
 from .record import (
     BEAM_POSITION_TOLERANCE_M,

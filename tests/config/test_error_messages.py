@@ -32,7 +32,7 @@ from levid.config.model import ModelConfig
 from levid.config.rig import RigConfig, load_rig
 from levid.config.session import Move, SessionConfig, load_session
 from levid.config.shipped import shipped
-from levid.log.signals_yaml import SignalsFile
+from levid.log.importing.signals_yaml import SignalsFile
 
 CONFIG = Path(shipped("rigs/loopback.yaml")).parent.parent
 

@@ -11,8 +11,8 @@ from repository_folders import DOCS
 
 from levid.identification.identify import identify
 from levid.identification.records.from_log import from_log
+from levid.log.importing.signals_yaml import SignalsFile
 from levid.log.reader import read_log
-from levid.log.signals_yaml import SignalsFile
 
 TEXT = (DOCS / "log-format.md").read_text()
 

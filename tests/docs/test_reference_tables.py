@@ -17,7 +17,7 @@ from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.planning.plan import plan_session
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.log.signals_yaml import SignalsFile
+from levid.log.importing.signals_yaml import SignalsFile
 from levid.model.geometry import decoupling_matrix
 
 PAGES = sorted(DOCS.glob("*.md"))

@@ -12,9 +12,9 @@ from levid.config.base import ConfigError, parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment_from_log import Experiment, experiment_from_log
 from levid.identification.greybox.identify_greybox import identify_grey_box
-from levid.log.importer import import_file
+from levid.log.importing.importer import import_file
+from levid.log.importing.signals_yaml import SignalsFile
 from levid.log.reader import read_log
-from levid.log.signals_yaml import SignalsFile
 
 TS, ROWS = 0.002, 3000
 MASS, UP = 0.5, 300.0

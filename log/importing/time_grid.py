@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import LogError
+from ..errors import LogError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

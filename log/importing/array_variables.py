@@ -13,8 +13,8 @@ import numpy as np
 import scipy.io
 from numpy.typing import NDArray
 
+from ..errors import LogError
 from .delimited_text import check_length
-from .errors import LogError
 from .signals_yaml import Column, SignalsFile
 
 Columns = list[NDArray[np.float64]]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from levid.log.errors import LogError
-from levid.log.signals_yaml import SignalsFile
-from levid.log.uniform_rows import uniform_rows
+from levid.log.importing.signals_yaml import SignalsFile
+from levid.log.importing.uniform_rows import uniform_rows
 
 N = 1000
 TIME_S = np.arange(N) * 1e-3

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import LogError
 from .array_variables import Columns, Variable, list_variables, load_mat, read_variables
-from .errors import LogError
 from .signals_yaml import SignalsFile
 
 _REFUSED = 3

@@ -13,11 +13,11 @@ from mcap_ros2.decoder import DecoderFactory
 from repository_folders import ROOT
 
 from levid.config.base import ConfigError, parse_text
-from levid.log import mat_file_reader
 from levid.log.errors import LogError
-from levid.log.importer import import_file
+from levid.log.importing import mat_file_reader
+from levid.log.importing.importer import import_file
+from levid.log.importing.signals_yaml import SignalsFile
 from levid.log.reader import read_log
-from levid.log.signals_yaml import SignalsFile
 
 MEASURED = ROOT.parent / "shared" / "data"
 SIGNALS = ROOT / "config" / "signals"

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import LogError
 from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
-from .errors import LogError
 from .header_units import is_time_name, known_unit
 from .time_grid import fit_grid
 

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from ..config.base import Finite, NonNegative, Positive, Strict
-from ..config.controller import ControllerConfig
+from ...config.base import Finite, NonNegative, Positive, Strict
+from ...config.controller import ControllerConfig
 from .header_units import known_unit
 
 Role = Literal["input", "output", "reference", "excitation", "scheduling", "time", "other"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from levid.log.errors import LogError
-from levid.log.time_grid import fit_grid
+from levid.log.importing.time_grid import fit_grid
 
 
 def grid(time_s):

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import LogError
 from .array_variables import MATLAB_OBJECT, Variable, list_variables, load_npz, read_variables
 from .delimited_text import open_text, read_delimited
-from .errors import LogError
 from .header_units import HeaderCell, header_cell
 from .importer import file_format
 from .mat_file_reader import list_mat, read_mat

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from levid.log.header_units import header_cell, known_unit, unit_slip
+from levid.log.importing.header_units import header_cell, known_unit, unit_slip
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import pytest
 import scipy.io
 
 from levid.config.base import ConfigError, parse_text
-from levid.log.draft_signals import FILL_IN, draft_signals
 from levid.log.errors import LogError
-from levid.log.signals_yaml import SignalsFile
+from levid.log.importing.draft_signals import FILL_IN, draft_signals
+from levid.log.importing.signals_yaml import SignalsFile
 
 T = np.arange(60) * 0.01
 U, Y = np.sin(T), np.cos(T)

@@ -7,10 +7,10 @@ import codecs
 import numpy as np
 import pytest
 
-from levid.log.delimited_text import read_delimited
 from levid.log.errors import LogError
-from levid.log.signals_yaml import SignalsFile
-from levid.log.text_layout import text_layout
+from levid.log.importing.delimited_text import read_delimited
+from levid.log.importing.signals_yaml import SignalsFile
+from levid.log.importing.text_layout import text_layout
 
 ROWS = "0.0,1.5,-2\n0.1,2.5,-3\n0.2,3.5,-4\n"
 

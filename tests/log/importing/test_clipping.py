@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from levid.log.clipping import clipped_levels, clipping_remarks
+from levid.log.importing.clipping import clipped_levels, clipping_remarks
 
 N = 5000
 ROW = np.arange(N)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import LogError
+from ..errors import LogError
 from .interpolation import Method, best_method, interpolate
 from .signals_yaml import Column, SignalsFile
 from .time_grid import TimeGrid

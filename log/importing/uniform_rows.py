@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import LogError
+from ..errors import LogError
 from .gap_filling import FilledPart, GapFiller, runs
 from .header_units import known_unit
 from .irregular_times import irregular_error, resample

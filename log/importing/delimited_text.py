@@ -16,7 +16,7 @@ from typing import NamedTuple, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import LogError
+from ..errors import LogError
 from .signals_yaml import Column, RowRange, SignalsFile
 from .text_layout import MISSING, Row, TextLayout, date, number, rows, text_layout
 

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.base import load_yaml
+from ...config.base import load_yaml
+from ..errors import LogError
+from ..writer import LogWriter
 from .array_variables import load_npz, read_variables
 from .clipping import clipping_remarks
 from .delimited_text import TextColumns, read_delimited
-from .errors import LogError
 from .header_units import unit_slip
 from .mat_file_reader import read_mat
 from .signals_yaml import Format, Role, SignalsFile
 from .uniform_rows import UniformPart, UniformRows, uniform_rows
-from .writer import LogWriter
 
 Array = NDArray[np.float64]
 

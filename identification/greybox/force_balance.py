@@ -24,12 +24,12 @@ from scipy.signal import detrend, welch
 
 from ...model.declared_model import DeclaredModel
 from ..records.record import IdentificationError
+from ..subspace.response_uncertainty import SURE_95
 from .experiment_from_log import Experiment
 from .intersample_input import Hold
 
 Array = NDArray[np.float64]
 
-SURE_95 = 1.96
 _STEEPNESS = 8
 """Exponent of the low-pass 1 / (1 + (f/fc)^8): a Butterworth filter of fourth order both ways."""
 _ABOVE_NOISE = 10.0

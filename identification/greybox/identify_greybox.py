@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from ...config.model import ModelConfig
 from ...model.second_order import StateSpace, discretise, lagged
 from ..records.record import IdentificationError
+from ..subspace.response_uncertainty import SURE_95
 from .experiment_from_log import Experiment
 from .fit import Fit, fit_model
-from .force_balance import SURE_95, ForceBalance, fit_force_balance
+from .force_balance import ForceBalance, fit_force_balance
 from .free_parameters import free_parameters
 from .free_run import free_run
 from .intersample_input import Hold

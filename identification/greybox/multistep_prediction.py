@@ -48,32 +48,26 @@ def predict_ahead(
 ) -> Array:
     """Return the outputs (N, n) predicted `rows` rows ahead; nan in the first rows.
 
-    Row k is predicted from the outputs up to row k - `rows` and from the recorded input. Constant
-    force and initial state are fitted to the whole record. Raises IdentificationError as
-    predict_along does.
+    Row k is predicted from the outputs up to row k - `rows` and from the recorded input; along a
+    moving schedule always from the row before. Constant force and initial state are fitted to the
+    whole record. Raises IdentificationError as predict_along does.
     """
     at = motion(model, experiment, hold)
     kalman = kalman_filter(at, noise)
     known = predict_along(at, experiment, kalman)
-    at = settled(at, known.offset)
-    N, n = experiment.y.shape
     if not at.fixed:
-        rows = 1
-    gain = kalman.gain
-    states = np.empty((N, 2 * n))
-    x = known.start.copy()
-    flows = at.flow if at.fixed else None
-    forcing = at.forcing if at.fixed else None
-    if flows is None or forcing is None:
-        # Along a moving schedule: one row ahead, from the whitened errors.
         lower = np.linalg.cholesky(kalman.covariance)
         return np.asarray(experiment.y - np.einsum("kij,kj->ki", lower, known.errors))
+    at = settled(at, known.offset)
+    N, n = experiment.y.shape
+    flow, forcing, gain = at.flow, at.forcing, kalman.gain[0]
+    states, x = np.empty((N, 2 * n)), known.start.copy()
     for k in range(N):
-        states[k] = x + gain[0] @ (experiment.y[k] - x[:n])
-        x = flows @ states[k] + forcing[k]
+        states[k] = x + gain @ (experiment.y[k] - x[:n])
+        x = flow @ states[k] + forcing[k]
     ahead = states[: N - rows]
     for step in range(rows):
-        ahead = ahead @ flows.T + forcing[step : N - rows + step]
+        ahead = ahead @ flow.T + forcing[step : N - rows + step]
     out = np.full((N, n), np.nan)
     out[rows:] = ahead[:, :n]
     return out

@@ -26,7 +26,7 @@ def group() -> None:
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="Path of the new SIGNALS.yaml. Default: FILE with the ending .yaml.",
+    help="Path of the new SIGNALS.yaml. Default: the name of FILE with .yaml, in this folder.",
 )
 def signals(file: Path, out: Path | None) -> int:
     """Write a draft of the SIGNALS.yaml for the data in FILE (CSV, text, NPZ, MAT).
@@ -43,7 +43,8 @@ def signals(file: Path, out: Path | None) -> int:
     from ..log.importing.draft_signals import draft_signals
 
     draft = draft_signals(file)
-    out = file.with_suffix(".yaml") if out is None else out
+    # Beside the data it could not be written if they are on a read-only share.
+    out = Path(file.with_suffix(".yaml").name) if out is None else out
     try:
         with out.open("x", encoding="utf-8") as new:
             new.write(draft.text)
@@ -54,6 +55,6 @@ def signals(file: Path, out: Path | None) -> int:
         click.echo(f"fill in: {text}")
     for text in draft.check:
         click.echo(text if text.startswith("check") else f"check: {text.replace(': check:', ':')}")
-    log = file.with_suffix(".mcap")
+    log = out.with_suffix(".mcap")
     say(f"next: levid import {quoted(file)} --signals {quoted(out)} -o {quoted(log)}")
     return 0

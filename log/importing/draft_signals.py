@@ -90,6 +90,8 @@ def draft_signals(path: Path) -> Draft:
         *rate_lines,
         *(["samples: columns"] if found.samples == "columns" else []),
         "# input_hold: zoh   # input between samples: held (zoh), linear (foh), or band_limited",
+        "# If a controller drives an input, say so (docs/log-format.md, 'Data of a control loop'):",
+        "# loop: {controller: unknown}",
         "columns:",
         *(_line(entry) for entry in entries),
     ]

@@ -30,7 +30,7 @@ python=$root/.venv/bin/python
 base=$("$python" -c 'import sys; print(sys.base_prefix)')
 HERE=$here ROOT=$root BASE=$base NUMBA_CACHE_DIR=$work/numba unshare --mount bash -c '
   set -e; . "$HERE/place.sh"; place_levid
-  PYTHONPATH=/srv/levid/src /srv/levid/bin/python /srv/levid/src/levid/tests/rig_vm/compile_before_start.py' ||
+  PYTHONPATH=/srv/levid/src /srv/levid/bin/python /srv/levid/src/levid/tests/rig_vm/fill_numba_cache.py' ||
   cannot "it takes a mount namespace, and levid that runs in it"
 
 guest=

@@ -121,6 +121,8 @@ def measure(data: Path, names: Sequence[str]) -> Iterator[Figure]:
             continue
         with tempfile.TemporaryDirectory() as folder:
             found, seconds = identified(case, data, Path(folder))
+        poles = [_pole(mode) for point in found["points"] for mode in point["model"]["modes"]]
+        yield Figure(f"{key}_pole", max(poles), "1/s", f"{case.label}: largest real pole, no model")
         grey = found["grey_box"]
         for name, p in grey["parameters"].items():
             if p["se"] is not None:
@@ -145,6 +147,13 @@ def measure(data: Path, names: Sequence[str]) -> Iterator[Figure]:
         wrong = any("did not command" in note for note in found["notes"])
         yield Figure(f"{key}_wrong", float(wrong), "", "  stated controller said to be wrong")
         yield Figure(f"{key}_seconds", seconds, "s", "  time of levid identify", None, MINUTE)
+
+
+def _pole(mode: Mapping[str, Any]) -> float:
+    """Return a real pole in 1/s, minus infinity for a pair of complex ones."""
+    if abs(mode["damping"]) < 1.0 - 1e-9:
+        return -math.inf
+    return -2.0 * math.pi * float(mode["frequency_hz"]) * math.copysign(1.0, mode["damping"])
 
 
 def _by_band(grey: Mapping[str, Any], name: str) -> list[float]:

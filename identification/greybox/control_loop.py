@@ -38,8 +38,8 @@ class ControlLoop:
     """The control loop: u = feedforward + C(reference, y + seen, v).
 
     v (N, p): excitation inside the controller's limits, reference (N, r), feedforward (N, p), seen
-    (N, n): what the controller measures beyond the outputs. `assumed`: v includes what the
-    controller leaves of the recorded command, as an excitation that was not recorded.
+    (N, n): what the controller measures beyond the outputs. v includes what the controller leaves
+    of a recorded command, as an excitation that was not recorded.
     """
 
     v: Array
@@ -47,7 +47,6 @@ class ControlLoop:
     feedforward: Array
     seen: Array
     controller: Controller
-    assumed: bool = False
 
     def rows(self, cut: slice) -> ControlLoop:
         """Return the rows of a slice."""
@@ -93,14 +92,14 @@ def imported_loop(
     shares = 100.0 * (rest.std(axis=0) / spread)[driven]
     if np.all(shares <= 100.0 * _REPRODUCED):
         return loop, ()
-    assumed = replace(loop, v=v + rest, assumed=True)
+    completed = replace(loop, v=v + rest)
     seen = np.hstack([record.y, reference[:, np.flatnonzero(np.ptp(reference, axis=0))]])
     for i, name, share in zip(driven, law.drives, shares, strict=True):
         part, chance = explained_by(rest[:, i], seen)
         scale, z = scale_of(explained[:, i] - v[:, i], record.v[:, i] - v[:, i])
         by_scale = 2.0 * norm.sf(abs(z))
         if by_scale < _CHANCE or (chance < _CHANCE and part > _EXPLAINED):
-            return assumed, (
+            return completed, (
                 f"loop: the stated controller did not command this record. It leaves {share:.2g} % "
                 f"of {name} (RMS), and outputs and references explain {100 * part:.2g} % of what "
                 "is new in that; an excitation would not depend on them. The command fits "
@@ -108,7 +107,7 @@ def imported_loop(
                 "and references. A simulation still uses the stated controller, on the difference "
                 "between measured and simulated outputs",
             )
-    return assumed, (
+    return completed, (
         f"loop: the controller leaves {shares.max():.2g} % of the command (RMS), which counts as "
         "excitation that was not recorded",
     )

@@ -79,7 +79,6 @@ EXCITATION = "  - {column: v, name: v_n, unit: N, role: excitation}\n"
 def test_excitation_and_controller_reproduce_the_command(tmp_path: Path) -> None:
     e = imported(tmp_path, loop(), EXCITATION)
     assert e.loop is not None
-    assert not e.loop.assumed
     np.testing.assert_allclose(e.loop.v[:, 0], flown()[0])
     assert e.remarks == ()
 
@@ -87,7 +86,6 @@ def test_excitation_and_controller_reproduce_the_command(tmp_path: Path) -> None
 def test_excitation_that_is_not_recorded_follows_from_the_command(tmp_path: Path) -> None:
     e = imported(tmp_path, loop())
     assert e.loop is not None
-    assert e.loop.assumed
     # The state before the first row, the last output, is estimated.
     np.testing.assert_allclose(e.loop.v[2:, 0], flown()[0][2:], atol=1e-6)
     (remark,) = e.remarks

@@ -43,7 +43,8 @@ def held_out_outputs(tail: HeldOut, *, sheet: Sheet = PAGE) -> Figure:
     legend = [entry("measured", _MEASURED)]
     if tail.one_step is not None:
         legend.append(entry("one step ahead", _ONE_STEP))
-    legend.append(entry("simulated", _SIMULATED))
+    if np.isfinite(tail.simulated).any():  # an unstable model does not simulate
+        legend.append(entry("simulated", _SIMULATED))
     with drawing(sheet):
         grid = new_grid((len(tail.names), 1), sheet, 1.9, legend)
         for i, ax in enumerate(grid.axes[:, 0]):
@@ -65,7 +66,8 @@ def held_out_outputs(tail: HeldOut, *, sheet: Sheet = PAGE) -> Figure:
 
 
 def _fits(tail: HeldOut, i: int) -> str:
-    text = f"simulated {tail.simulated_fit[i]:.1f} %"
+    fits = [("simulated", tail.simulated_fit[i])]
     if tail.one_step_fit is not None:
-        text = f"one step ahead {tail.one_step_fit[i]:.1f} %, {text}"
-    return f"fit: {text}"
+        fits.insert(0, ("one step ahead", tail.one_step_fit[i]))
+    texts = [f"{kind} {fit:.1f} %" for kind, fit in fits if np.isfinite(fit)]
+    return f"fit: {', '.join(texts)}" if texts else ""

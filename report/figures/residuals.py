@@ -66,10 +66,9 @@ def residual_spectra(
     shown = Range(
         min(_first(r.freq_hz) for r in residuals), max(float(r.freq_hz[-1]) for r in residuals)
     )
-    legend: list[Artist] = [
-        entry("error of the simulation", _ERROR),
-        entry("noise alone", _FLOOR),
-    ]
+    legend: list[Artist] = [entry("error of the simulation", _ERROR)]
+    if any(np.isfinite(r.floor_psd).any() for r in residuals):  # not all records tell noise apart
+        legend.append(entry("noise alone", _FLOOR))
     with drawing(sheet):
         grid = new_grid((len(residuals), len(names)), sheet, 1.9, legend)
         for (row, i), ax in grid.panels():

@@ -52,7 +52,8 @@ def command(
     """Find the physical effects that LOGS show and the declared model lacks.
 
     The model is fitted to the records and its residual is compared with a table of effects. An
-    effect is accepted if it lowers the prediction error on held-out records by more than chance.
+    effect is accepted if it lowers the error on rows that did not fit it by more than chance.
+    Imported records may come from an unknown controller, and from an unstable plant.
     OUT/model.yaml is the refitted model with the accepted effects; identify, trace and the
     simulator read it. Prints the effects, their evidence, the next command and the report's path.
 
@@ -62,11 +63,15 @@ def command(
       levid trace out/trace/*.mcap --out out/trace/found
       levid trace out/trace/*.mcap --model out/trace/found/model.yaml --out out/again --json
       levid trace out/trace/*.mcap --dask tcp://127.0.0.1:8786 --out out/found
+      levid trace drive.mcap --model drive.yaml --out out/drive
     """
     if workers is not None and dask is not None:
         raise click.UsageError("expected --workers or --dask, found both")
     from ..identification.trace.found_effects_summary import outcome, summary
+    from .trace_imported import is_imported, print_imported
 
+    if is_imported(logs):
+        return print_imported(logs, model, out, as_json)
     traced = trace_logs(logs, model, out, workers, dask)
     found, page = traced.found, traced.page
     if as_json:

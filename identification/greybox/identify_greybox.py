@@ -16,7 +16,7 @@ from ..records.record import IdentificationError
 from ..subspace.response_uncertainty import SURE_95
 from .experiment_from_log import Experiment
 from .fit import Fit, fit_model
-from .force_balance import ForceBalance, fit_force_balance
+from .force_balance.instrumental_variables import ForceBalance, fit_force_balance
 from .free_parameters import free_parameters
 from .free_run import free_run
 from .intersample_input import Hold

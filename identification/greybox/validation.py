@@ -15,7 +15,7 @@ from ...model.declared_model import DeclaredModel
 from ..subspace.fit_percent import nrmse_fit_percent
 from .discretisation import motion
 from .experiment_from_log import Experiment
-from .force_balance import force_percent
+from .force_balance.instrumental_variables import force_percent
 from .free_run import first_row, free_run
 from .free_run_noise_floor import floor_psd, noise_floor
 from .intersample_input import Hold

@@ -14,7 +14,7 @@ from ....config.model import ModelConfig
 from ....log.reader import read_log
 from ...records.duplicate_logs import DuplicateCheck
 from ...records.record import IdentificationError, NotARecordError
-from .record_from_log import SHORTEST_S, TraceRecord, trace_record
+from .record_from_log import IMPORTED, SHORTEST_S, TraceRecord, trace_record
 
 
 def read_records(
@@ -38,8 +38,8 @@ def read_records(
         log = read_log(path)
         try:
             record = trace_record(log, config)
-            require_known_loop(record, path)
-            _require_long(record, path)
+            if record.kind != IMPORTED:
+                _require_long(record, path)
             require_live(record, path)
         except NotARecordError as reason:
             notes.append(str(reason))
@@ -82,20 +82,6 @@ def _with_unique_names(records: dict[Path, TraceRecord]) -> dict[Path, TraceReco
             name = f"{name} ({path.absolute().relative_to(common)})"
         named[path] = replace(record, experiment=replace(record.experiment, name=name))
     return named
-
-
-def require_known_loop(record: TraceRecord, path: Path) -> None:
-    """Raise IdentificationError for a loop with an unknown controller.
-
-    A free run of it would drift, or follow the noise that the controller fed back.
-    """
-    e = record.experiment
-    if e.feedback and e.loop is None:
-        raise IdentificationError(
-            f"{path.name}: loop: expected a controller, found 'unknown': a trace simulates the "
-            "closed loop. State the controller in the signals file, with gains as near as you "
-            "know them; 'levid identify' needs none"
-        )
 
 
 def _require_long(record: TraceRecord, path: Path) -> None:

@@ -37,6 +37,8 @@ _WITHOUT = {
 }
 """Fields that a rig log may lack, and what the trace assumes without them."""
 _SILENT = 1e-9
+IMPORTED = "imported"
+"""Kind of a record from other data than the rig's."""
 SHORTEST_S = 1.0
 """Least duration of a record, or of a held-out part."""
 _FITTED = 0.6
@@ -234,7 +236,7 @@ def _imported(experiment: Experiment, model: ModelConfig) -> TraceRecord:
     no_motion = np.zeros((N, 3))
     return TraceRecord(
         experiment, places, np.asarray(np.arange(N) * experiment.Ts_s), experiment.y, experiment.u,
-        np.zeros((N, p)), no_motion, no_motion, None, "imported",
+        np.zeros((N, p)), no_motion, no_motion, None, IMPORTED,
     )  # fmt: skip
 
 

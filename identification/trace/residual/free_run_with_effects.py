@@ -66,8 +66,12 @@ class Slopes:
     qd: Array
 
 
-def free_run(point: WorkingPoint, record: TraceRecord) -> EffectFreeRun:
+def free_run(
+    point: WorkingPoint, record: TraceRecord, sensor_sd: Array | None = None
+) -> EffectFreeRun:
     """Simulate a record in free run; constant force and state are estimated from its first 5 s.
+
+    sensor_sd (S,): noise of each sensor, if they differ.
 
     Raises IdentificationError for a closed loop without a zero-order hold at the input.
     """
@@ -99,8 +103,8 @@ def free_run(point: WorkingPoint, record: TraceRecord) -> EffectFreeRun:
             )
             next_q, next_u = next_q + more_q, next_u + more_u
         last_change, step = change, next_q - q
-        change = float(np.sqrt(np.mean((step @ record.places.sensor_shape.T) ** 2)))
-        change /= point.disturbance.sensor_sd
+        sd = point.disturbance.sensor_sd if sensor_sd is None else sensor_sd
+        change = float(np.sqrt(np.mean((step @ record.places.sensor_shape.T / sd) ** 2)))
         # Halve the step if the iteration oscillates.
         damping_factor = (
             max(0.5 * damping_factor, _MIN_STEP)

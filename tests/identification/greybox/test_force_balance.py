@@ -10,11 +10,11 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.experiment_from_log import Experiment
-from levid.identification.greybox.force_balance import (
+from levid.identification.greybox.force_balance.band_limited_signals import upper_limit
+from levid.identification.greybox.force_balance.instrumental_variables import (
     ForceBalance,
     fit_force_balance,
     force_percent,
-    upper_limit,
 )
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.records.record import IdentificationError

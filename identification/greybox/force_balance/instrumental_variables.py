@@ -12,36 +12,27 @@ both.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.signal import detrend, welch
 
-from ...model.declared_model import DeclaredModel
-from ..records.record import IdentificationError
-from ..subspace.response_uncertainty import SURE_95
-from .experiment_from_log import Experiment
-from .intersample_input import Hold
+from ....model.declared_model import DeclaredModel
+from ...subspace.response_uncertainty import SURE_95
+from ..experiment_from_log import Experiment
+from ..intersample_input import Hold
+from .band_limited_signals import (
+    BAND_STEPS,
+    SHORTEST_ROWS,
+    BandLimited,
+    middle_limit,
+    upper_limit,
+)
 
 Array = NDArray[np.float64]
 
-_STEEPNESS = 8
-"""Exponent of the low-pass 1 / (1 + (f/fc)^8): a Butterworth filter of fourth order both ways."""
-_ABOVE_NOISE = 10.0
-"""Ratio of an output's power density to its noise at the upper end of the band."""
-_MOST_OF_RATE: dict[Hold, float] = {"zoh": 0.177, "foh": 0.24, "band_limited": 0.35}
-"""Highest limit over the rate. At f the alias of a mass is (f / (rate - f))^3 with a zero-order
-hold, which is 1 % at 0.177, and ^4 with a first-order hold. A band-limited input has none."""
-_BAND_STEPS = (2.4, 1.55, 1.0)
-"""The upper limits of the bands, as divisors of the highest."""
-_EDGE = 2.0
-"""Rows left out at each end of a record, in periods of the upper limit."""
-_MOST_EDGE = 0.1
 _BLOCKS = 25
 _STEPS = 25
 _CONVERGED = 1e-5
@@ -50,7 +41,6 @@ _DELAYS = (-2.0, -1.0, 1.0, 2.0, 4.0)
 """Delays in rows, beside the model's own, from which a search starts."""
 _HALF_STEP = 1e-4
 """Half step of the central differences, as a share of a parameter's scale."""
-_SHORTEST_ROWS = 50
 
 
 @dataclass(frozen=True)
@@ -84,40 +74,6 @@ class _Bounds:
     scale: Array
 
 
-@dataclass(frozen=True)
-class _Signals:
-    """One record in a band: derivatives 0 .. 3 of the outputs (rows, n), spectrum of the input."""
-
-    derivatives: tuple[Array, ...]
-    spectrum: NDArray[np.complex128]
-    freq_hz: Array
-    line: tuple[Array, Array]
-    rows: slice
-    before: int
-    length: int
-    hold: Hold
-    Ts_s: float
-    own_delay_s: float
-    schedule: Mapping[str, float]
-
-    def input(self, delay_s: float, lag_s: float) -> Array:
-        """Return the filtered input (rows, p) after delay and lag, as the plant sees it."""
-        f = self.freq_hz
-        total_s = delay_s + self.own_delay_s
-        shape = np.exp(-2j * np.pi * f * total_s) / (1.0 + 2j * np.pi * f * lag_s)
-        shift_s = total_s + lag_s
-        if self.hold == "zoh":
-            shape = shape * np.sinc(f * self.Ts_s) * np.exp(-1j * np.pi * f * self.Ts_s)
-            shift_s += 0.5 * self.Ts_s
-        elif self.hold == "foh":
-            shape = shape * np.sinc(f * self.Ts_s) ** 2
-        u = irfft(self.spectrum * shape[:, None], self.length, axis=0)
-        value, slope = self.line
-        t = np.arange(self.length) * self.Ts_s - shift_s
-        whole = u + value + slope * t[:, None]
-        return np.asarray(whole[self.before :][self.rows])
-
-
 def fit_force_balance(
     model: DeclaredModel,
     experiments: Sequence[Experiment],
@@ -134,7 +90,7 @@ def fit_force_balance(
     """
     limits = _Bounds(*bounds)
     highest = min(upper_limit(e, hold) for e in experiments)
-    band_hz = np.array([highest / divisor for divisor in _BAND_STEPS])
+    band_hz = np.array([highest / divisor for divisor in BAND_STEPS])
     middle = len(band_hz) // 2
     pairs = [
         (_signals(experiments, hold, fc), _signals(instruments, hold, fc))
@@ -158,101 +114,25 @@ def force_percent(model: DeclaredModel, experiments: Sequence[Experiment], hold:
 
     It is nan for records that are too short, or whose schedule moves.
     """
-    if any(e.moving or len(e.y) < _SHORTEST_ROWS for e in experiments):
+    if any(e.moving or len(e.y) < SHORTEST_ROWS for e in experiments):
         return np.full(len(model.dof), np.nan)
-    highest = min(upper_limit(e, hold) for e in experiments)
-    middle = _BAND_STEPS[len(_BAND_STEPS) // 2]
-    return _percent(model, _signals(experiments, hold, highest / middle))
+    return _percent(model, _signals(experiments, hold, middle_limit(experiments, hold)))
 
 
-def upper_limit(experiment: Experiment, hold: Hold) -> float:
-    """Return the frequency in Hz up to which every output is ten times above its noise.
-
-    The noise is the least power density of the output. The limit is lower if the steps of a held
-    input reach it: above half the rate a held input has images, of which the sampled outputs of a
-    mass contain an alias. Below the limit it is at most 1 % of the output.
-    """
-    Ts_s, rows = experiment.Ts_s, len(experiment.y)
-    if rows < _SHORTEST_ROWS:
-        raise IdentificationError(
-            f"record '{experiment.name}': expected at least {_SHORTEST_ROWS} rows, found {rows}"
-        )
-    segment = max(rows // 12, min(rows, _SHORTEST_ROWS))
-    freq_hz, psd = welch(detrend(experiment.y, axis=0), 1 / Ts_s, nperseg=segment, axis=0)
-    width = max(len(freq_hz) // 32, 1)
-    kernel = np.ones(width) / width
-    limit = _MOST_OF_RATE[hold] / Ts_s
-    for density in psd[1:].T:
-        smooth = np.convolve(density, kernel, mode="same")
-        inside = smooth[width : len(smooth) - width] if len(smooth) > 4 * width else smooth
-        above = smooth > _ABOVE_NOISE * inside.min()
-        last = len(above) if above.all() else max(int(np.argmin(above)), 1)
-        limit = min(limit, float(freq_hz[1:][last - 1]))
-    return max(limit, 4.0 / (rows * Ts_s))
+def _signals(experiments: Sequence[Experiment], hold: Hold, cutoff_hz: float) -> list[BandLimited]:
+    return [BandLimited.of(e, hold, cutoff_hz) for e in experiments]
 
 
-def _signals(experiments: Sequence[Experiment], hold: Hold, cutoff_hz: float) -> list[_Signals]:
-    return [_of_record(e, hold, cutoff_hz) for e in experiments]
-
-
-def _of_record(e: Experiment, hold: Hold, cutoff_hz: float) -> _Signals:
-    if e.moving:
-        raise IdentificationError(
-            f"record '{e.name}': expected a constant schedule for the force balance, found motion"
-        )
-    Ts_s, rows = e.Ts_s, len(e.y)
-    before = min(rows - 1, math.ceil(4.0 / (cutoff_hz * Ts_s)))
-    length = next_fast_len(rows + 2 * before, real=True)
-    freq_hz = rfftfreq(length, Ts_s)
-    low_pass = 1.0 / (1.0 + (freq_hz / cutoff_hz) ** _STEEPNESS)
-    y, line_y = _spectrum(e.y, before, length, Ts_s)
-    u, line_u = _spectrum(e.u, before, length, Ts_s)
-    edge = min(math.ceil(_EDGE / (cutoff_hz * Ts_s)), int(_MOST_EDGE * rows))
-    stride = max(int(1.0 / (8.0 * cutoff_hz * Ts_s)), 1)
-    kept = slice(edge, rows - edge, stride)
-    t = np.arange(length) * Ts_s
-    derivatives = []
-    for k in range(4):
-        found = irfft(y * (low_pass * (2j * np.pi * freq_hz) ** k)[:, None], length, axis=0)
-        if k == 0:
-            found = found + line_y[0] + line_y[1] * t[:, None]
-        elif k == 1:
-            found = found + line_y[1]
-        derivatives.append(np.asarray(found[before:][kept]))
-    return _Signals(
-        tuple(derivatives), u * low_pass[:, None], freq_hz, line_u, kept, before, length, hold,
-        Ts_s, e.delay_cycles * Ts_s, {name: float(v.mean()) for name, v in e.schedule.items()},
-    )  # fmt: skip
-
-
-def _spectrum(
-    x: Array, before: int, length: int, Ts_s: float
-) -> tuple[NDArray[np.complex128], tuple[Array, Array]]:
-    """Return the spectrum of the record, extended at both ends, without a line, and the line.
-
-    The extension is odd, as in scipy's filtfilt; without the line the ends join.
-    """
-    after = length - len(x) - before
-    head = 2.0 * x[0] - x[before:0:-1]
-    reflected = x[-2 : -min(after, len(x) - 1) - 2 : -1]
-    tail = 2.0 * x[-1] - reflected
-    whole = np.concatenate([head, x, tail])
-    whole = np.concatenate([whole, np.broadcast_to(whole[-1], (length - len(whole), x.shape[1]))])
-    value, slope = whole[0], (whole[-1] - whole[0]) / ((length - 1) * Ts_s)
-    t = np.arange(length) * Ts_s
-    return rfft(whole - value - slope * t[:, None], axis=0), (value, slope)
-
-
-def _residuals(model: DeclaredModel, record: _Signals) -> tuple[Array, Array]:
+def _residuals(model: DeclaredModel, record: BandLimited) -> tuple[Array, Array]:
     """Return the residual force and the input force (rows, n), both without the mean."""
     at = model.at(record.schedule)
-    q, qd, qdd, _ = record.derivatives
+    q, qd, qdd, _ = record.kept_derivatives()
     force = record.input(max(at.delay_s, -record.own_delay_s), max(at.lag_s, 0.0)) @ at.B.T
     left = force - qdd @ at.M.T - qd @ at.D.T - q @ at.K.T
     return left - left.mean(axis=0), force - force.mean(axis=0)
 
 
-def _percent(model: DeclaredModel, records: Sequence[_Signals]) -> Array:
+def _percent(model: DeclaredModel, records: Sequence[BandLimited]) -> Array:
     pairs = [_residuals(model, record) for record in records]
     left, force = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -261,8 +141,8 @@ def _percent(model: DeclaredModel, records: Sequence[_Signals]) -> Array:
 
 def _fit(
     model: DeclaredModel,
-    records: Sequence[_Signals],
-    instruments: Sequence[_Signals],
+    records: Sequence[BandLimited],
+    instruments: Sequence[BandLimited],
     names: Sequence[str],
     bounds: _Bounds,
     extra: bool = False,
@@ -275,13 +155,13 @@ def _fit(
     """
     weight = 1.0 / np.maximum(_scale(model, records), np.finfo(float).tiny)
 
-    def residual(at: Array, of: Sequence[_Signals] = records) -> list[Array]:
+    def residual(at: Array, of: Sequence[BandLimited] = records) -> list[Array]:
         moved = model.with_values(dict(zip(names, at.tolist(), strict=True)))
         return [_residuals(moved, record)[0] * weight for record in of]
 
     nuisance = [_more(record) for record in records] if extra else None
 
-    def jacobian(at: Array, of: Sequence[_Signals]) -> Array:
+    def jacobian(at: Array, of: Sequence[BandLimited]) -> Array:
         columns = [_column(partial(residual, of=of), at, i, bounds) for i in range(len(names))]
         return np.column_stack([_stacked(c, nuisance) for c in columns]) * bounds.scale
 
@@ -328,10 +208,10 @@ def _column(
     return [(high - low) / (2.0 * step[index]) for high, low in pairs]
 
 
-def _more(record: _Signals) -> Array:
+def _more(record: BandLimited) -> Array:
     """Return an orthonormal basis of the third derivatives, without the mean."""
-    third = record.derivatives[3] - record.derivatives[3].mean(axis=0)
-    return np.asarray(np.linalg.qr(third)[0])
+    third = record.kept_derivatives()[3]
+    return np.asarray(np.linalg.qr(third - third.mean(axis=0))[0])
 
 
 def _stacked(parts: Sequence[Array], nuisance: Sequence[Array] | None) -> Array:
@@ -341,7 +221,7 @@ def _stacked(parts: Sequence[Array], nuisance: Sequence[Array] | None) -> Array:
     return np.concatenate([part.reshape(-1) for part in parts])
 
 
-def _scale(model: DeclaredModel, records: Sequence[_Signals]) -> Array:
+def _scale(model: DeclaredModel, records: Sequence[BandLimited]) -> Array:
     left = np.concatenate([_residuals(model, record)[0] for record in records])
     return np.asarray(left.std(axis=0))
 

@@ -1,0 +1,149 @@
+"""Trace imported records for `levid trace`: call, print the effects, write model and report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .output_folder_check import quoted, same_logs, writable_folder
+from .progress import progress, say
+
+if TYPE_CHECKING:
+    from ..identification.trace.force_regression.force_trace_summary import FoundLaw
+    from ..identification.trace.force_regression.trace_imported import ForceTrace
+
+
+def is_imported(logs: Sequence[Path]) -> bool:
+    """Return whether the first log was imported from other data than the rig's."""
+    from ..log.reader import read_log
+
+    return "signals.yaml" in read_log(logs[0]).attachments
+
+
+def print_imported(logs: Sequence[Path], model: Path | None, out: Path, as_json: bool) -> int:
+    """Trace imported logs, write model.yaml and the report to `out`, and print the result.
+
+    Raises:
+        ConfigError: `out` cannot be written, or the model file is wrong.
+        IdentificationError: the logs cannot be traced.
+    """
+    from ..config.model import load_model
+    from ..identification.greybox.identify_greybox import to_yaml
+    from ..identification.records.record import IdentificationError
+    from ..identification.trace.force_regression.force_trace_summary import (
+        force_summary,
+        model_with_effects,
+    )
+    from ..identification.trace.force_regression.trace_imported import trace_imported
+    from ..model.effects.candidate_effects import all_effects
+    from ..report.plotting.atomic_write import replace_text
+    from ..report.trace.imported_page import imported_report
+
+    if model is None:
+        raise IdentificationError(
+            f"expected --model MODEL.yaml for {logs[0]}, which is not a log of the rig; found none"
+        )
+    writable_folder(out, ("model.yaml", "index.html"), ("figures",))
+    config = load_model(model)
+    undrawn: Exception | None = None
+    page = None
+    with progress("tracing") as report:
+        found = trace_imported(logs, config, all_effects, lambda what, x: report(what, 0.9 * x))
+        out.mkdir(parents=True, exist_ok=True)
+        written = out / "model.yaml"
+        replace_text(written, to_yaml(model_with_effects(found)))
+        report("report", 0.95)
+        try:
+            page = imported_report(found, out)
+        except Exception as error:  # noqa: BLE001 - raised after the results are printed
+            undrawn = error
+    if as_json:
+        paths = {"model": str(written), "report": None if page is None else str(page)}
+        click.echo(json.dumps({**force_summary(found), **paths, "notes": list(found.notes)}))
+    else:
+        for line in words_of(found):
+            click.echo(line)
+        click.echo(f"model: {written}")
+        target = out / "identification"
+        click.echo(
+            f"next: levid identify {same_logs(logs)} --model {quoted(written)} "
+            f"--out {quoted(target)}"
+        )
+        if page is not None:
+            click.echo(f"report: {page}")
+    if undrawn is not None:
+        say("the report could not be written:")
+        raise undrawn
+    return 0
+
+
+def words_of(found: ForceTrace) -> list[str]:
+    """Return the results as lines of text; +- is a 95 % interval."""
+    from ..identification.trace.force_regression.force_trace_summary import (
+        force_outcome,
+        model_with_effects,
+    )
+
+    result = force_outcome(found)
+    lines = []
+    for i, name in enumerate(result.dof):
+        force = f"{result.before.force_percent[i]:.3g} % before"
+        force += f", {result.after.force_percent[i]:.3g} % after"
+        lines.append(f"missing force at {name}, over the force of the inputs: {force}")
+        if result.metric == "free_run":
+            before, after = result.before.percent[i], result.after.percent[i]
+            lines.append(
+                f"free-run error of {name}, over the output: {before:.3g} % before, "
+                f"{after:.3g} % after"
+            )
+    lines.append(result.verdict)
+    for law in result.laws:
+        lines += _law(law)
+    names = found.found.point.parameters.names
+    values = [
+        f"{name} = {p.value:.5g}{_interval(p.se)} {p.unit}"
+        for name, p in model_with_effects(found).parameters.items()
+        if name in names
+    ]
+    lines.append(f"model: {', '.join(values)}")
+    lines += [
+        f"record {e.record}: the simulation with effects did not converge; its error is unreliable"
+        for e in found.after
+        if not e.settled
+    ]
+    if result.floor is None:
+        lines.append(
+            "note: no record tells noise from what the model lacks: nothing says that the model "
+            "explains the records"
+        )
+    return lines + [f"note: {note}" for note in found.notes]
+
+
+def _law(law: FoundLaw) -> list[str]:
+    effect, rated = law.placed.effect, law.rated
+    values = ", ".join(
+        f"{name} = {p.value:.5g}{_interval(p.se)}" + ("" if p.unit in ("", "1") else f" {p.unit}")
+        for name, p in law.parameters.items()
+    )
+    lines = [f"  {law.name}" + ("" if law.free else f": {values} (95 %)"), f"    {effect.equation}"]
+    lines.append(
+        f"    takes {100 * rated.share:.3g} % of the squared missing force of blocks that did not "
+        f"fit it ({rated.gain.statistic:.1f} standard errors)"
+    )
+    if law.alternatives:
+        how = effect.told_apart_by or "another excitation"
+        lines.append(f"    these records do not tell its members apart; {how} would")
+    if law.laws:
+        names = ", ".join(r.placed.effect.title for r in law.laws)
+        lines.append(f"    other laws of it fit as well: {names}")
+    return lines
+
+
+def _interval(se: float | None) -> str:
+    from ..identification.subspace.response_uncertainty import SURE_95
+
+    return "" if se is None else f" +- {SURE_95 * se:.2g}"

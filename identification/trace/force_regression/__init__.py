@@ -1,0 +1,1 @@
+"""Trace imported records: regress the force that a model lacks on the forces of effects."""

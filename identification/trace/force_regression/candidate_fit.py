@@ -1,0 +1,151 @@
+"""Fit one candidate to the missing force beside a model: amplitudes linearly, shapes by steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, lsq_linear
+
+from ....model.effects.base import Effect, Placed, Quantity
+from .force_record import ForceModel
+from .training_records import Evaluated, Shape, Training
+
+Array = NDArray[np.float64]
+
+_EVALUATIONS = 25
+_DIFFERENCE = 1e-3
+_FELL = 1e-4
+_TOLD = 1e-6
+"""Least part of the inputs' force beside the columns, above rounding."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A model's columns and missing force, and what of the latter its columns do not explain.
+
+    own, acting: of each record (F, rows, n), change of missing and of acting force. Q: orthonormal
+    basis of the columns over all records. scale: the inputs' force without them, of norm one (0 if
+    they contain it). rest: the missing force without them.
+    """
+
+    at: Evaluated
+    training: Training
+    own: list[Array]
+    acting: list[Array]
+    Q: Array
+    scale: Array
+    rest: Array
+
+    @classmethod
+    def of(cls, point: ForceModel, training: Training) -> Beside:
+        """Return the columns of a model at its present numbers."""
+        at = training.at(point)
+        own = training.columns(at)
+        base = flat(own)
+        size = np.linalg.norm(base, axis=0)
+        Q, R = np.linalg.qr(base[:, size > 0.0] / size[size > 0.0])
+        Q = Q[:, np.abs(np.diag(R)) > 1e-10]
+        whole = np.concatenate([m.reshape(-1) for m in at.missing])
+        pushed = np.concatenate([f.reshape(-1) for f in at.acting])
+        scale = pushed - Q @ (Q.T @ pushed)
+        scale = scale / max(float(np.linalg.norm(scale)), _TOLD * float(np.linalg.norm(pushed)))
+        return cls(
+            at, training, own, training.acting_columns(at), Q, scale, whole - Q @ (Q.T @ whole)
+        )
+
+    @property
+    def squares(self) -> float:
+        """Sum of squares of what the columns do not explain."""
+        return float(self.rest @ self.rest)
+
+    def without(self, X: Array) -> Array:
+        """Return columns (rows, c) without their part in the model's columns."""
+        return np.asarray(X - self.Q @ (self.Q.T @ X))
+
+    def forces(self, effect: Effect, shape: Shape, keep: bool = False) -> Array:
+        """Return the forces of an effect's amplitudes as columns (rows of all records, c)."""
+        return flat(self.training.forces(self.at, effect, shape, keep))
+
+
+def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: float) -> float | None:
+    """Return the squared error that an effect takes at a shape.
+
+    None if less than `told_from_model` of its squared force remains beside the model's columns and
+    the force of all inputs: it is then a change of the model's parameters, or of the scale of all
+    actuators.
+    """
+    X = flat(beside.training.forces(beside.at, effect, shape, keep=True, plain=True))
+    left = beside.without(X)
+    left = left - beside.scale[:, None] * (beside.scale @ left)
+    remains = np.sum(left * left, axis=0) > told_from_model * np.sum(X * X, axis=0)
+    if not np.any(remains):
+        return None
+    left = beside.without(beside.forces(effect, shape, keep=True))
+    amplitudes = _amplitudes(effect, left, beside.rest)
+    return float(beside.squares - np.sum((beside.rest - left @ amplitudes) ** 2))
+
+
+def fitted_candidate(beside: Beside, effect: Effect, shape: Shape) -> Placed | None:
+    """Return an effect with the numbers that leave least, from a start shape; None if it does
+    nothing."""
+
+    def at(x: Array) -> tuple[Array, Array]:
+        left = beside.without(beside.forces(effect, _shape(effect.shape, x)))
+        amplitudes = _amplitudes(effect, left, beside.rest)
+        return amplitudes, np.asarray(beside.rest - left @ amplitudes)
+
+    def residual(x: Array) -> Array:
+        return at(x)[1]
+
+    x = _coordinates(effect.shape, shape)
+    if len(x):
+        low = _coordinates(effect.shape, [q.low for q in effect.shape])
+        high = _coordinates(effect.shape, [q.high for q in effect.shape])
+        inside = 1e-6 * (high - low)
+        found = least_squares(
+            residual,
+            np.clip(x, low + inside, high - inside),
+            bounds=(low, high),
+            x_scale=[1.0 if q.log else 0.25 * (q.high - q.low) for q in effect.shape],
+            diff_step=np.full(len(x), _DIFFERENCE),
+            max_nfev=_EVALUATIONS,
+            ftol=_FELL,
+        )
+        x = found.x
+    amplitudes, _ = at(x)
+    if not np.any(amplitudes):
+        return None
+    return Placed(effect, _shape(effect.shape, x), tuple(amplitudes.tolist()))
+
+
+def flat(columns: Sequence[Array]) -> Array:
+    """Return columns of records (c, rows, n) as one matrix (rows of all records, c)."""
+    return np.asarray(np.hstack([c.reshape(len(c), -1) for c in columns]).T)
+
+
+def _amplitudes(effect: Effect, left: Array, rest: Array) -> Array:
+    """Return the least-squares amplitudes within their bounds."""
+    size = np.linalg.norm(left, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    low = np.array([q.low for q in effect.amplitudes]) * size
+    high = np.array([q.high for q in effect.amplitudes]) * size
+    Q, R = np.linalg.qr(left / size)
+    b = Q.T @ rest
+    found = np.linalg.lstsq(R, b, rcond=1e-9)[0]
+    if np.any(found < low) or np.any(found > high):
+        found = np.clip(lsq_linear(R, b, (low, high)).x, low, high)
+    return np.asarray(found / size)
+
+
+def _coordinates(quantities: Sequence[Quantity], shape: Sequence[float]) -> Array:
+    tiny = np.finfo(float).tiny
+    pairs = zip(quantities, shape, strict=True)
+    return np.array([np.log(max(v, tiny)) if q.log else v for q, v in pairs])
+
+
+def _shape(quantities: Sequence[Quantity], x: Array) -> Shape:
+    pairs = zip(quantities, x.tolist(), strict=True)
+    return tuple(float(np.clip(np.exp(v) if q.log else v, q.low, q.high)) for q, v in pairs)

@@ -1,0 +1,161 @@
+"""Prepare one record: the force that a model lacks in it, and the forces of effects.
+
+The missing force is M q'' + D q' + K q - B u of signals below a frequency limit, less the forces of
+the effects in the model. It needs neither the controller nor an initial state, so a record may come
+from an unknown loop, and its plant may be unstable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.declared_model import DeclaredModel
+from ....model.effects.base import Effect, Placed, Signals, Term
+from ...greybox.force_balance.band_limited_signals import BandLimited
+from ...greybox.free_parameters import FreeParameters
+from ...greybox.intersample_input import Hold
+from ..records.record_from_log import TraceRecord
+
+Array = NDArray[np.float64]
+
+_Part = tuple[Array | None, Array | None, tuple[Array, Array, Array] | None]
+"""Filtered force, commands, and reading error with two derivatives of one term."""
+
+
+@dataclass(frozen=True)
+class ForceModel:
+    """A declared model, its free parameters, and the effects found so far."""
+
+    model: DeclaredModel
+    parameters: FreeParameters
+    placed: tuple[Placed, ...] = ()
+
+    @property
+    def values(self) -> Array:
+        """Values of the free parameters (F,) in SI units."""
+        return np.array([self.model.values[name] for name in self.parameters.names])
+
+    def with_values(self, values: Array) -> ForceModel:
+        """Return the model with other values of its free parameters (F,)."""
+        named = dict(zip(self.parameters.names, values.tolist(), strict=True))
+        return replace(self, model=self.model.with_values(named))
+
+
+@dataclass(frozen=True)
+class ForceRecord:
+    """One record below a limit. `rows` of it count; `kept` are the signals at these rows."""
+
+    name: str
+    band: BandLimited
+    signals: Signals
+    kept: tuple[Array, ...]
+    decoupling: Array
+    _inputs: dict[tuple[float, float], Array] = field(default_factory=dict, repr=False)
+    _parts: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, record: TraceRecord, hold: Hold, cutoff_hz: float) -> ForceRecord:
+        """Return a record below a limit; raises IdentificationError if its schedule moves."""
+        e = record.experiment
+        band = BandLimited.of(e, hold, cutoff_hz)
+        q, qd, qdd = band.derivatives[:3]
+        none = np.zeros(len(q))
+        signals = Signals(
+            e.Ts_s, record.time_s, q, qd, qdd, record.coil, none, none, none, none, none, none,
+            e.delay_cycles, record.places,
+        )  # fmt: skip
+        return cls(record.name, band, signals, band.kept_derivatives(), record.places.decoupling)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows that count."""
+        return len(self.kept[0])
+
+    @property
+    def time_s(self) -> Array:
+        """Time of the rows that count (rows,), from the record's begin."""
+        return np.asarray(np.arange(len(self.signals.q))[self.band.kept] * self.band.Ts_s)
+
+    def input_force(self, model: DeclaredModel) -> Array:
+        """Return the force of the input (rows, n)."""
+        at = model.at(self.band.schedule)
+        delay_s, lag_s = _timing(model, self.band)
+        if (delay_s, lag_s) not in self._inputs:
+            self._inputs.clear()
+            self._inputs[delay_s, lag_s] = self.band.input(delay_s, lag_s)
+        return np.asarray(self._inputs[delay_s, lag_s] @ at.B.T)
+
+    def missing_force(self, point: ForceModel) -> Array:
+        """Return the force that the model with its effects lacks (rows, n)."""
+        at = point.model.at(self.band.schedule)
+        q, qd, qdd, _ = self.kept
+        lacks = qdd @ at.M.T + qd @ at.D.T + q @ at.K.T - self.input_force(point.model)
+        for p in point.placed:
+            forces = self.effect_forces(point.model, p.effect, p.shape)
+            lacks = lacks - np.tensordot(np.array(p.amplitudes), forces, 1)
+        return np.asarray(lacks)
+
+    def effect_forces(
+        self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
+    ) -> Array:
+        """Return the force of one unit of each amplitude of an effect (amplitudes, rows, n).
+
+        keep: whether the filtered signals are kept for the next call.
+        """
+        at = model.at(self.band.schedule)
+        parts = self._parts_of(model, effect, shape, keep)
+        forces = np.zeros((len(parts), *self.kept[0].shape))
+        for i, (plain, held, false) in enumerate(parts):
+            if plain is not None:
+                forces[i] += plain
+            if held is not None:
+                forces[i] += held @ at.B.T
+            if false is not None:  # the true motion is the readings less their error
+                forces[i] += false[2] @ at.M.T + false[1] @ at.D.T + false[0] @ at.K.T
+        return forces
+
+    def held_forces(
+        self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
+    ) -> Array:
+        """Return the part of `effect_forces` that adds to the inputs (amplitudes, rows, n)."""
+        at = model.at(self.band.schedule)
+        return np.stack(
+            [
+                np.zeros_like(self.kept[0]) if held is None else held @ at.B.T
+                for _, held, _ in self._parts_of(model, effect, shape, keep)
+            ]
+        )
+
+    def force_of_command(self, model: DeclaredModel, held: Array) -> Array:
+        """Return the force (rows, n) of additions to the inputs (N, p)."""
+        at = model.at(self.band.schedule)
+        return np.asarray(self.band.input(*_timing(model, self.band), held) @ at.B.T)
+
+    def _parts_of(
+        self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool
+    ) -> list[_Part]:
+        delay_s, lag_s = _timing(model, self.band)
+        key = (effect.identity, shape, delay_s, lag_s)
+        parts = self._parts.get(key)
+        if parts is None:
+            parts = [self._part(t, delay_s, lag_s) for t in effect.build(self.signals, shape)]
+            if keep:
+                self._parts[key] = parts
+        return parts
+
+    def _part(self, term: Term, delay_s: float, lag_s: float) -> _Part:
+        band = self.band
+        return (
+            None if term.force is None else band.smoothed(term.force),
+            None if term.held is None else band.input(delay_s, lag_s, term.held),
+            None if term.gap is None else band.smoothed_derivatives(term.gap @ self.decoupling.T),
+        )
+
+
+def _timing(model: DeclaredModel, band: BandLimited) -> tuple[float, float]:
+    """Return delay and lag of the input in s; with the log's own, the delay is not negative."""
+    at = model.at(band.schedule)
+    return max(at.delay_s, -band.own_delay_s), max(at.lag_s, 0.0)

@@ -1,0 +1,320 @@
+"""Summarise a trace of imported records: effects and errors as JSON, in words, as a model file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....config.model import EffectParameter, ModelConfig, ModelEffect
+from ....model.effects.base import Placed
+from ....model.effects.freeform import depends_on
+from .reported_errors import PooledError
+from .search import Rated
+from .trace_imported import ForceTrace, pooled_errors
+
+Array = NDArray[np.float64]
+
+ABOUT = {
+    "free_run": (
+        "RMS of the free-run simulation error over rows and outputs, in standard deviations of the "
+        "output noise, on the last quarter of every record; its first third (at most 5 s) does not "
+        "count"
+    ),
+    "force": (
+        "RMS of the force that the model lacks over the force of the inputs, in per cent, below "
+        "{limit:.3g} Hz, on the last quarter of every record"
+    ),
+}
+_MOST_ERROR_SHARE = 0.5
+"""Largest standard error of an identified parameter, over its uncertainty before."""
+
+
+@dataclass(frozen=True)
+class FoundLaw:
+    """An effect that the search added.
+
+    support: share of bootstrap samples of the blocks in which an effect of this class at this place
+    gains most. `alternatives` are of other classes or places, each with its support: these records
+    do not tell them apart. laws: other laws of the same class and place, not told apart either.
+    """
+
+    rated: Rated
+    parameters: dict[str, EffectParameter]
+    support: float
+    alternatives: tuple[Rated, ...]
+    laws: tuple[Rated, ...]
+
+    @property
+    def placed(self) -> Placed:
+        """The effect with its values."""
+        return self.rated.placed
+
+    @property
+    def free(self) -> bool:
+        """Whether it is a free form, not a known law."""
+        return self.placed.effect.effect_class == "unknown"
+
+    @property
+    def name(self) -> str:
+        """Its name; those of the alternatives follow."""
+        names = [self.placed.effect.name, *(r.placed.effect.name for r in self.alternatives)]
+        return " or ".join(dict.fromkeys(names))
+
+
+@dataclass(frozen=True)
+class ForceOutcome:
+    """The result of a trace of imported records in numbers.
+
+    before, after: errors on the reported rows. metric: what measures them; `before_rms`,
+    `after_rms` in its unit. free_form: what a free form of all signals leaves of the force (n,).
+    """
+
+    laws: tuple[FoundLaw, ...]
+    metric: str
+    before: PooledError
+    after: PooledError
+    before_rms: float
+    after_rms: float
+    floor: float | None
+    free_form: Array
+    dof: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        """The result in a sentence."""
+        named = [law.name for law in self.laws if not law.free]
+        forms = [law.placed.effect.name for law in self.laws if law.free]
+        parts = []
+        if named:
+            parts.append(f"found: {', '.join(named)}")
+        if forms:
+            parts.append(f"no known law, described by a free form: {', '.join(forms)}")
+        if not parts:
+            parts.append("no effect is confirmed")
+        return "; ".join([*parts, self.rest])
+
+    @property
+    def rest(self) -> str:
+        """What the model leaves of the force, in a clause."""
+        left = [
+            f"{after:.3g} % of the force at {name} (a free form of all signals {form:.3g} %)"
+            for name, after, form in zip(
+                self.dof, self.after.force_percent, self.free_form, strict=True
+            )
+        ]
+        return f"the model leaves {', '.join(left)}"
+
+
+def force_outcome(trace: ForceTrace) -> ForceOutcome:
+    """Return the result of a trace in numbers."""
+    before, after = pooled_errors(trace)
+    free_run = bool(np.all(np.isfinite(after.error)) and np.all(np.isfinite(before.error)))
+    if free_run:
+        sd = trace.noise_sd
+        sizes = [float(np.sqrt(np.mean((e.error / sd) ** 2))) for e in (before, after)]
+    else:
+        sizes = [float(np.sqrt(np.mean(e.force_percent**2))) for e in (before, after)]
+    floor = 1.0 if free_run and trace.noise_stated else None
+    return ForceOutcome(
+        _laws(trace),
+        "free_run" if free_run else "force",
+        before,
+        after,
+        sizes[0],
+        sizes[1],
+        floor,
+        trace.free_form,
+        trace.places.dof,
+    )
+
+
+def force_summary(trace: ForceTrace) -> dict[str, Any]:
+    """Return the result as dicts, lists, finite numbers and text, for JSON; None replaces nan.
+
+    effects: name, class, where, parameters, evidence, support and alternatives of each; one that
+    is not told from effects of another class or place has the class ambiguous. validation: metric,
+    before, after, noise_floor (None if the noise is not stated), percent, force_percent.
+    """
+    found = force_outcome(trace)
+    force = [float(np.sqrt(np.mean(e.force_percent**2))) for e in (found.before, found.after)]
+    dof = trace.places.dof
+    plain: dict[str, Any] = _plain(
+        {
+            "effects": [_effect(law) for law in found.laws],
+            "validation": {
+                "metric": found.metric,
+                "about": ABOUT[found.metric].format(limit=trace.limit_hz),
+                "before": found.before_rms,
+                "after": found.after_rms,
+                "noise_floor": found.floor,
+                "percent": {
+                    "before": dict(zip(dof, found.before.percent, strict=True)),
+                    "after": dict(zip(dof, found.after.percent, strict=True)),
+                },
+                "force_percent": {"before": force[0], "after": force[1]},
+                "per_dof": {
+                    name: {
+                        "unit": trace.places.dof_units[i],
+                        "before": found.before.error[i],
+                        "after": found.after.error[i],
+                        "noise_sd": trace.noise_sd[i],
+                        "noise_stated": trace.noise_stated,
+                        "force_percent": {
+                            "before": found.before.force_percent[i],
+                            "after": found.after.force_percent[i],
+                            "free_form": found.free_form[i],
+                        },
+                    }
+                    for i, name in enumerate(dof)
+                },
+                "per_record": [
+                    {
+                        "record": a.record,
+                        "seconds": a.seconds,
+                        "force_percent": {
+                            "before": dict(zip(dof, _percent(b), strict=True)),
+                            "after": dict(zip(dof, _percent(a), strict=True)),
+                        },
+                    }
+                    for b, a in zip(trace.before, trace.after, strict=True)
+                ],
+            },
+            "unexplained": {
+                "found": found.verdict,
+                "nearest": [
+                    {
+                        **_named(r),
+                        "statistic_sd": r.gain.statistic,
+                        "share": r.share,
+                        "contradicted": not r.gain.elsewhere,
+                    }
+                    for r in trace.found.nearest
+                ],
+                "given_up": list(trace.found.dropped),
+                "unsettled_records": [e.record for e in trace.after if not e.settled],
+            },
+            "band_hz": [0.0, trace.limit_hz],
+        }
+    )
+    return plain
+
+
+def model_with_effects(trace: ForceTrace) -> ModelConfig:
+    """Return the refitted model with its effects, values with standard errors."""
+    point, config = trace.found.point, trace.config
+    free, values = point.parameters, point.values
+    known = np.minimum(free.worth, free.prior_sd)
+    parameters = dict(config.parameters)
+    sd = trace.errors[: len(values)]
+    for name, value, error, before in zip(free.names, values, sd, known, strict=True):
+        told = error < _MOST_ERROR_SHARE * before
+        parameters[name] = parameters[name].model_copy(
+            update={"value": float(value), "se": float(error) if told else None}
+        )
+    effects = tuple(
+        ModelEffect(effect=p.effect.key, where=p.effect.where, parameters=values)
+        for p, values in zip(point.placed, _parameters(trace), strict=True)
+    )
+    return config.model_copy(update={"parameters": parameters, "effects": effects})
+
+
+def _parameters(trace: ForceTrace) -> list[dict[str, EffectParameter]]:
+    """Return the parameters of each effect of the found model, by name, amplitudes first."""
+    at, found = len(trace.found.point.values), []
+    for p in trace.found.point.placed:
+        quantities = (*p.effect.amplitudes, *p.effect.shape)
+        errors = trace.errors[at : at + len(quantities)]
+        at += len(quantities)
+        found.append(
+            {
+                q.name: EffectParameter(value=value, unit=q.unit, se=_finite(error))
+                for q, value, error in zip(
+                    quantities, (*p.amplitudes, *p.shape), errors.tolist(), strict=True
+                )
+            }
+        )
+    return found
+
+
+def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
+    values = {
+        p.effect.identity: own
+        for p, own in zip(trace.found.point.placed, _parameters(trace), strict=True)
+    }
+    laws = []
+    for rated in trace.found.rated:
+        own = _kind(rated)
+        same = tuple(r for r in rated.alternatives if _kind(r) == own)
+        others = tuple(r for r in rated.alternatives if _kind(r) != own)
+        laws.append(
+            FoundLaw(rated, values[rated.placed.effect.identity], rated.support, others, same)
+        )
+    return tuple(laws)
+
+
+def _kind(rated: Rated) -> tuple[str, tuple[str, ...]]:
+    return rated.placed.effect.effect_class, rated.placed.effect.where
+
+
+def _percent(error: Any) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(100.0 * error.force / error.force_acting)
+
+
+def _effect(law: FoundLaw) -> dict[str, Any]:
+    effect, rated = law.placed.effect, law.rated
+    evidence: dict[str, Any] = {
+        "equation": effect.equation,
+        "statistic_sd": rated.gain.statistic,
+        "asked": "blocks",
+        "share": rated.share,
+        "force_share": rated.force,
+        "other_records": [None if not math.isfinite(g) else g > 0.0 for g in rated.gain.others],
+        "laws_not_told_apart": [_named(r) for r in law.laws],
+        "absorbed_by": effect.absorbed_by,
+        "told_apart_by": effect.told_apart_by,
+    }
+    if law.free:
+        evidence["signals"] = list(depends_on(effect))
+    members: Sequence[Rated] = (rated, *law.alternatives) if law.alternatives else ()
+    supports = (law.support, *(r.support for r in law.alternatives))
+    return {
+        "name": law.name,
+        "class": "ambiguous" if law.alternatives else effect.effect_class,
+        "where": list(effect.where),
+        "parameters": {
+            name: {"value": p.value, "se": p.se, "unit": p.unit}
+            for name, p in law.parameters.items()
+        },
+        "support": sum(supports) if law.alternatives else law.support,
+        "alternatives": [
+            {**_named(r), "support": s} for r, s in zip(members, supports, strict=False)
+        ],
+        "evidence": evidence,
+    }
+
+
+def _named(rated: Rated) -> dict[str, Any]:
+    effect = rated.placed.effect
+    return {"name": effect.name, "class": effect.effect_class, "where": list(effect.where)}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,199 @@
+"""Judge columns by blocks of time that did not fit them: gain, standard error, and other records.
+
+For each block of time the Gram matrix of [columns, missing force] is enough: a fit without the
+block comes from the sum of the others, and the block's squared error from its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_RIDGE = 1e-10
+"""Relative to the columns' squares: keeps parallel columns solvable, far above rounding."""
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Rows of the records cut into blocks: edges of each record, and the record of each block."""
+
+    edges: tuple[NDArray[np.int64], ...]
+    record: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, rows: Sequence[int], blocks: int) -> Blocks:
+        """Return about `blocks` blocks of equal length, at least two in each record."""
+        length = sum(rows) / blocks
+        counts = [max(round(n / length), 2) for n in rows]
+        edges = tuple(
+            np.linspace(0, n, count + 1).astype(np.int64)
+            for n, count in zip(rows, counts, strict=True)
+        )
+        return cls(edges, np.repeat(np.arange(len(rows)), counts))
+
+    def grams(self, columns: Sequence[Array], missing: Sequence[Array]) -> Array:
+        """Return the Gram matrix of each block (B, C + 1, C + 1).
+
+        columns: of each record (C, rows, n); missing: of each record (rows, n).
+        """
+        found = []
+        for edges, own, left in zip(self.edges, columns, missing, strict=True):
+            whole = np.concatenate([own, left[None]])
+            for first, last in pairwise(edges.tolist()):
+                part = whole[:, first:last].reshape(len(whole), -1)
+                found.append(part @ part.T)
+        return np.array(found)
+
+
+def fitted(gram: Array, prior: Array | None = None) -> Array:
+    """Return the coefficients (..., C) of Gram matrices (..., C + 1, C + 1)."""
+    A, b = gram[..., :-1, :-1], gram[..., :-1, -1]
+    if prior is not None:
+        A, b = A + prior[:-1, :-1], b + prior[:-1, -1]
+    size = _sizes(A)
+    scaled = A / size[..., :, None] / size[..., None, :]
+    scaled = scaled + _RIDGE * np.eye(A.shape[-1])
+    return np.asarray(np.linalg.solve(scaled, (b / size)[..., None])[..., 0] / size)
+
+
+def _sizes(A: Array) -> Array:
+    """Return the norms of the columns (..., C), one for a column that is zero."""
+    squares = np.diagonal(A, axis1=-2, axis2=-1)
+    return np.asarray(np.sqrt(np.where(squares > 0.0, squares, 1.0)))
+
+
+def squared_errors(gram: Array, coefficients: Array) -> Array:
+    """Return the squared error of coefficients (..., C) in each Gram matrix."""
+    Ab = np.einsum("...ij,...j->...i", gram[..., :-1, :-1], coefficients)
+    cross = np.sum(gram[..., :-1, -1] * coefficients, axis=-1)
+    return np.asarray(gram[..., -1, -1] - 2.0 * cross + np.sum(coefficients * Ab, axis=-1))
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A model's Gram matrices: what blocks say of its numbers, and how these change what acts.
+
+    grams (B, C + 1, C + 1): of [columns, missing force] in each block. acting (C + 1, C + 1): of
+    [change of the inputs' force by each number, the inputs' force] over all blocks. prior: of the
+    columns.
+    """
+
+    grams: Array
+    acting: Array
+    prior: Array
+
+    def left_out_errors(self) -> Array:
+        """Return each block's squared error (B,) by the coefficients of all other blocks.
+
+        It is relative to the force that then acts: a model in which all forces are small explains
+        nothing.
+        """
+        coefficients = fitted(self.grams.sum(axis=0) - self.grams, self.prior)
+        errors = squared_errors(self.grams, coefficients)
+        whole = np.column_stack([coefficients, np.ones(len(errors))])
+        power = np.einsum("bi,ij,bj->b", whole, self.acting, whole)
+        return np.asarray(errors * self.acting[-1, -1] / np.maximum(power, np.finfo(float).tiny))
+
+    def only(self, columns: Sequence[int]) -> Columns:
+        """Return the columns with these numbers, in this order."""
+        pick = [*columns, len(self.acting) - 1]
+        square = np.ix_(pick, pick)
+        return Columns(self.grams[:, pick][:, :, pick], self.acting[square], self.prior[square])
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Squared errors that columns take of blocks that did not fit them (B,).
+
+    mean and standard_error are per block. `others`: for each record, what the columns take of it if
+    only the other records fit them, nan where these do not determine them (halves, if there is one
+    record).
+    """
+
+    blocks: Array
+    others: Array
+
+    @property
+    def mean(self) -> float:
+        """Mean per block."""
+        return float(self.blocks.mean())
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the mean."""
+        return float(self.blocks.std(ddof=1) / np.sqrt(len(self.blocks)))
+
+    @property
+    def statistic(self) -> float:
+        """Mean over its standard error."""
+        return self.mean / max(self.standard_error, np.finfo(float).tiny)
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether no other record contradicts."""
+        asked = self.others[np.isfinite(self.others)]
+        return bool(np.all(asked > 0.0))
+
+
+def gain_of(
+    before: Columns, after: Columns, base: int, amplitudes: int, record: NDArray[np.int64]
+) -> Gain:
+    """Return the gain of one model over another, by their Gram matrices of all blocks.
+
+    The first `base` columns of `after` are the model's own, then follow those of the amplitudes of
+    the effect that is judged, then of its shape, which is held where other records foretell one.
+    """
+    blocks = before.left_out_errors() - after.left_out_errors()
+    groups = record if len(set(record.tolist())) > 1 else np.arange(len(record)) * 2 // len(record)
+    few = after.only(range(base + amplitudes))
+    kinds = np.unique(groups)
+    others = np.full(len(kinds), np.nan)
+    for i, kind in enumerate(kinds.tolist()):
+        inside = groups == kind
+        rest, own = few.grams[~inside].sum(axis=0), few.grams[inside].sum(axis=0)
+        extra = fitted(rest, few.prior)[base:]
+        if _foretold(rest, own, base, extra):
+            # The model's own parameters are those of the record: only the effect is foreign.
+            without = before.grams[inside].sum(axis=0)
+            at_home = squared_errors(without, fitted(without, before.prior))
+            small = _with_fixed(own, base, extra)
+            prior = _with_fixed(few.prior, base, 0.0 * extra)
+            others[i] = at_home - squared_errors(small, fitted(small, prior))
+    return Gain(blocks, others)
+
+
+def _with_fixed(gram: Array, base: int, extra: Array) -> Array:
+    """Return the Gram matrix of [base columns, what is left of the last one by fixed others]."""
+    take = np.zeros((len(gram), base + 1))
+    take[:base, :base] = np.eye(base)
+    take[base:-1, -1], take[-1, -1] = -extra, 1.0
+    return np.asarray(take.T @ gram @ take)
+
+
+def _foretold(rest: Array, own: Array, base: int, extra: Array) -> bool:
+    """Return whether records determine an effect well enough to foretell it in another one.
+
+    They do if the force that is expected there, beside the model's own columns, is larger than
+    twice its uncertainty.
+    """
+    there, known = (_beside(gram[:-1, :-1], base) for gram in (own, rest))
+    size = _sizes(known)
+    inverse = np.linalg.inv(known / size[:, None] / size + _RIDGE * np.eye(len(known)))
+    uncertain = float(np.trace(there @ (inverse / size[:, None] / size)))
+    return float(extra @ there @ extra) > 4.0 * uncertain
+
+
+def _beside(A: Array, base: int) -> Array:
+    """Return the Gram matrix of the columns behind `base`, with those before projected out."""
+    size = _sizes(A)
+    scaled = A / size[:, None] / size
+    inner = scaled[:base, :base] + _RIDGE * np.eye(base)
+    cross = scaled[:base, base:]
+    left = scaled[base:, base:] - cross.T @ np.linalg.solve(inner, cross)
+    return np.asarray(left * size[base:, None] * size[base:])

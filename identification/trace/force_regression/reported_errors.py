@@ -1,0 +1,144 @@
+"""Compute a model's errors on the part of a record that neither fitted nor chose it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...greybox.intersample_input import Hold
+from ...greybox.noise_model import Noise
+from ...greybox.validation import metric_of
+from ...records.record import IdentificationError
+from ..linearised.linearisation_point import WorkingPoint
+from ..records.record_from_log import TraceRecord
+from ..records.sensor_and_amplifier_noise import Disturbance
+from ..records.sensor_white_noise import white_noise
+from ..residual.free_run_with_effects import free_run
+from .force_record import ForceModel, ForceRecord
+
+Array = NDArray[np.float64]
+Metric = Literal["free_run", "force"]
+
+_DIVERGED = 100.0
+"""Error over the output's standard deviation above which a simulation has diverged."""
+
+
+@dataclass(frozen=True)
+class ReportedError:
+    """Errors of one record, each (n,), in SI units.
+
+    error: RMS of the free-run simulation, nan without one; output, force_acting: standard
+    deviations of output and input force; force: of the missing force; settled: whether the
+    simulation with effects converged.
+    """
+
+    record: str
+    seconds: float
+    error: Array
+    output: Array
+    force: Array
+    force_acting: Array
+    settled: bool
+
+
+def output_noise(records: Sequence[TraceRecord]) -> tuple[Array, bool]:
+    """Return the noise of each output (n,), with quantisation, and whether all records state it.
+
+    What is not stated comes from the upper half of the frequencies, where there is more than noise
+    if the record is sampled slowly.
+    """
+    found, stated = [], True
+    for record in records:
+        e = record.experiment
+        n = e.y.shape[1]
+        own = np.full(n, np.nan) if e.noise_sd is None else e.noise_sd
+        stated &= bool(np.all(np.isfinite(own)))
+        step = np.full(n, np.nan) if e.resolution is None else e.resolution
+        seen = np.array([_step(column) for column in e.y.T])
+        step = np.where(np.isfinite(step), step, np.where(np.isfinite(own), 0.0, seen))
+        sd = np.where(np.isfinite(own), np.hypot(own, step / np.sqrt(12.0)), white_noise(e.y))
+        found.append(np.maximum(sd, step / np.sqrt(12.0)))
+    return np.median(found, axis=0), stated
+
+
+def _step(values: Array) -> float:
+    """Return the smallest step between the values of a quantised record; 0 if it has none.
+
+    A record is quantised if most neighbouring values of its sorted ones are equal.
+    """
+    ordered = np.sort(values)
+    steps = np.diff(ordered)
+    positive = steps[steps > 0.0]
+    if 2 * len(positive) > len(steps) or not len(positive):
+        return 0.0
+    return float(np.median(positive))
+
+
+def reported_error(
+    point: ForceModel, record: TraceRecord, seen: ForceRecord, hold: Hold, sd: Array
+) -> ReportedError:
+    """Return the errors of a model on a record; seen: the same record below the band's limit."""
+    missing = seen.missing_force(point)
+    acting = seen.input_force(point.model)
+    e = record.experiment
+    error, settled = np.full(e.y.shape[1], np.nan), True
+    if metric_of(point.model, e) == "free_run":
+        error, settled = _simulated(point, record, missing, seen, hold, sd)
+    return ReportedError(
+        record.name,
+        record.rows * e.Ts_s,
+        error,
+        e.y.std(axis=0),
+        missing.std(axis=0),
+        acting.std(axis=0),
+        settled,
+    )
+
+
+def _simulated(
+    point: ForceModel, record: TraceRecord, missing: Array, seen: ForceRecord, hold: Hold, sd: Array
+) -> tuple[Array, bool]:
+    """Return the RMS error (n,) of a free run, nan if it diverges, and whether it converged."""
+    e = record.experiment
+    density = np.maximum(missing.var(axis=0) / (2.0 * seen.band.cutoff_hz), np.finfo(float).tiny)
+    noise = Noise.independent(density, sd**2)
+    disturbance = Disturbance(noise, float(np.median(sd)), measured=False)
+    at = WorkingPoint(point.model, point.parameters, point.placed, disturbance, hold)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            run = free_run(at, record, sd)
+            error = (e.y - run.q)[run.counts_from :]
+            rms = np.sqrt(np.mean(error**2, axis=0))
+    except (IdentificationError, np.linalg.LinAlgError):
+        return np.full(e.y.shape[1], np.nan), False
+    bounded = bool(np.all(rms < _DIVERGED * e.y.std(axis=0)))
+    return (rms if bounded else np.full_like(rms, np.nan)), run.settled
+
+
+@dataclass(frozen=True)
+class PooledError:
+    """Errors of all records (n,): RMS, in per cent of the output, and in per cent of the force."""
+
+    error: Array
+    percent: Array
+    force_percent: Array
+
+    @classmethod
+    def of(cls, errors: Sequence[ReportedError]) -> PooledError:
+        """Return the errors of records, by their length."""
+        weight = np.array([e.seconds for e in errors])[:, None] / sum(e.seconds for e in errors)
+
+        def rms(name: str) -> Array:
+            values = np.array([getattr(e, name) for e in errors])
+            return np.asarray(np.sqrt(np.sum(weight * values**2, axis=0)))
+
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return cls(
+                rms("error"),
+                100.0 * rms("error") / rms("output"),
+                100.0 * rms("force") / rms("force_acting"),
+            )

@@ -1,0 +1,78 @@
+"""Weigh frequencies by the inverse of the residual's spectrum, for all signals alike.
+
+The spectrum is that of what the richest free form leaves: measurement noise and everything that no
+effect of the table can be. It is estimated once and then held, so that the squared errors of all
+models are comparable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.signal import welch
+
+Array = NDArray[np.float64]
+
+_SEGMENTS = 8
+"""Segments of the shortest record for its spectrum."""
+_LEAST_ROWS = 16
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Power density (F, n) of the residual at freq_hz (F,), and the limit of the band in Hz."""
+
+    freq_hz: Array
+    density: Array
+    cutoff_hz: float
+
+    def apply(self, values: Array, row_s: float) -> Array:
+        """Return signals (..., rows, n) with the spectrum divided by the residual's, no phase.
+
+        The residual's sum of squares is then about the number of independent rows in the band.
+        """
+        rows = values.shape[-2]
+        before = rows - 1
+        length = next_fast_len(rows + 2 * before, real=True)
+        head = 2.0 * values[..., :1, :] - values[..., before:0:-1, :]
+        tail = 2.0 * values[..., -1:, :] - values[..., -2::-1, :]
+        whole = np.concatenate([head, values, tail], axis=-2)
+        freq_hz = np.minimum(rfftfreq(length, row_s), self.cutoff_hz)
+        weight = np.stack(
+            [
+                np.exp(-0.5 * np.interp(freq_hz, self.freq_hz, np.log(column)))
+                for column in self.density.T
+            ],
+            axis=1,
+        ) * (2.0 * row_s * np.sqrt(self.cutoff_hz))
+        found = irfft(rfft(whole, length, axis=-2) * weight, length, axis=-2)
+        return np.asarray(found[..., before : before + rows, :])
+
+
+def whitening_of(residuals: Sequence[Array], row_s: float, cutoff_hz: float) -> Whitening:
+    """Return the weights for residuals (rows, n) of records with equal time between rows."""
+    segment = max(min(len(r) for r in residuals) // (_SEGMENTS // 2), _LEAST_ROWS)
+    total, weight = None, 0.0
+    for r in residuals:
+        freq_hz, density = welch(r, 1 / row_s, nperseg=min(segment, len(r)), axis=0)
+        if total is None:
+            total = np.zeros_like(density)
+        if len(density) == len(total):
+            total += len(r) * density
+            weight += len(r)
+    assert total is not None
+    density = total / weight
+    inside = (freq_hz > 0.0) & (freq_hz <= cutoff_hz)
+    smooth = _smoothed(density[inside])
+    return Whitening(freq_hz[inside], np.maximum(smooth, 1e-12 * smooth.max(axis=0)), cutoff_hz)
+
+
+def _smoothed(density: Array) -> Array:
+    """Return the geometric mean of each value and its two neighbours."""
+    logs = np.log(np.maximum(density, np.finfo(float).tiny))
+    padded = np.vstack([logs[:1], logs, logs[-1:]])
+    return np.asarray(np.exp((padded[:-2] + padded[1:-1] + padded[2:]) / 3.0))

@@ -1,0 +1,103 @@
+"""Fit the richest free form: what is left of it is what no effect of the table can explain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from ....model.effects.base import Signals
+from .force_record import ForceModel, ForceRecord
+
+Array = NDArray[np.float64]
+
+_DEGREE, _MIXED_DEGREE = 5, 2
+_TURNS = (0.02, 0.15)
+"""Speeds at which a friction turns, over the RMS speed."""
+_WIDE = 3.0
+"""Range of a polynomial in standard deviations; outside it is constant."""
+_ROWS_PER_NUMBER = 10.0
+"""Independent rows for each number of the free form, at least."""
+
+
+def residual_of_richest(
+    point: ForceModel, records: Sequence[ForceRecord], own: Sequence[Array]
+) -> list[Array]:
+    """Return what the model's columns `own` (C, rows, n) and a free form leave of each record.
+
+    The form has polynomials in each position, speed and command, friction that turns at two speeds,
+    and products of two signals, in each equation. It has neither the command nor the acceleration
+    by itself: with both free, every equation is true. It is fitted to all records, without weights.
+    """
+    whole = [_columns(r, point) for r in records]
+    missing = [r.missing_force(point) for r in records]
+    left = [np.zeros_like(m) for m in missing]
+    for i in range(missing[0].shape[1]):
+        A = np.vstack(
+            [
+                np.hstack([_centred(w), _centred(c[:, :, i].T)])
+                for w, c in zip(whole, own, strict=True)
+            ]
+        )
+        b = np.concatenate([_centred(m[:, i : i + 1]) for m in missing])
+        A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
+        # Eight rows per period of the limit make two independent ones of four.
+        most = int(len(A) / (4.0 * _ROWS_PER_NUMBER))
+        U, size, _ = np.linalg.svd(A, full_matrices=False)
+        U = U[:, (size > 1e-8 * size[0]) & (np.arange(len(size)) < max(most, 1))]
+        rest = (b - U @ (U.T @ b))[:, 0]
+        at = 0
+        for part in left:
+            part[:, i] = rest[at : at + len(part)]
+            at += len(part)
+    return left
+
+
+def _centred(values: Array) -> Array:
+    return np.asarray(values - values.mean(axis=0))
+
+
+def _columns(record: ForceRecord, point: ForceModel) -> Array:
+    """Return the columns of the form (rows, C)."""
+    s = record.signals
+    forces = _forms(s)
+    found = [record.band.smoothed(np.stack(forces, axis=1))]
+    for held in _held_forms(s):
+        found.append(record.force_of_command(point.model, held))
+    return np.hstack(found)
+
+
+def _forms(s: Signals) -> list[Array]:
+    motion = [*_scaled(s.q), *_scaled(s.qd)]
+    found = []
+    for x in motion:
+        found += list(_polynomials(x, _DEGREE))
+    for speed in s.qd.T:
+        rms = max(float(speed.std()), np.finfo(float).tiny)
+        found += [np.tanh(speed / (turn * rms)) for turn in _TURNS]
+    acting = _scaled(s.acting(s.coil))
+    every = [*motion, *acting]
+    for a in range(len(every)):
+        for b in range(a):
+            found.append(every[a] * every[b])
+    return found
+
+
+def _held_forms(s: Signals) -> list[Array]:
+    found = []
+    for c, command in enumerate(_scaled(s.coil)):
+        for value in (*_polynomials(command, _DEGREE)[1:], np.abs(command) * command):
+            found.append(value[:, None] * s.places.coil_shape[c])
+        found.append(np.gradient(command)[:, None] * s.places.coil_shape[c])
+    return found
+
+
+def _scaled(values: Array) -> list[Array]:
+    """Return each column over its range of three standard deviations, about its mean."""
+    return [(x - x.mean()) / max(_WIDE * float(x.std()), np.finfo(float).tiny) for x in values.T]
+
+
+def _polynomials(x: Array, degree: int) -> Array:
+    return np.asarray(chebyshev.chebvander(np.clip(x, -1.0, 1.0), degree)[:, 1:].T)

@@ -1,0 +1,285 @@
+"""Search for effects in the missing force: add what blocks and other records confirm.
+
+One criterion decides whether an effect stays: the squared error that it takes of blocks that did
+not fit it is larger than its standard error by far, matters, and is not contradicted by another
+record. Among effects that the records do not tell apart the one with the fewest numbers is taken;
+the others are its alternatives. The laws of friction of one DOF exclude each other: a richer one
+takes the place of a simpler one if it is confirmed beside the model with the simpler one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.effects.base import Effect, Placed
+from .candidate_fit import Beside, fitted_candidate, taken_at
+from .force_record import ForceModel
+from .held_out_gain import Gain, gain_of
+from .search_options import SearchOptions
+from .training_records import Training, numbers_of
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+_ONE_LAW = "friction"
+"""Class of which a DOF has one law."""
+
+
+@dataclass(frozen=True)
+class Rated:
+    """A candidate with fitted numbers, and its gain over the model at that time.
+
+    share: the part of the squared missing force that it takes; force: the same over the inputs'
+    force, RMS, in the weighted band. instead_of: the effect whose place
+    it takes. contenders: all that were fitted in the same round. `alternatives` are not told apart
+    from it; `support`: share of bootstrap samples of the blocks in which one of its class and place
+    gains most of all.
+    """
+
+    placed: Placed
+    gain: Gain
+    share: float
+    force: float
+    instead_of: Placed | None = None
+    support: float = float("nan")
+    alternatives: tuple[Rated, ...] = ()
+    contenders: tuple[Effect, ...] = ()
+
+    @property
+    def numbers(self) -> int:
+        """Amplitudes and shape parameters."""
+        return numbers_of(self.placed)
+
+
+@dataclass(frozen=True)
+class Searched:
+    """The model with the effects found, how each was rated, what came nearest, what was dropped."""
+
+    point: ForceModel
+    rated: tuple[Rated, ...]
+    nearest: tuple[Rated, ...]
+    dropped: tuple[str, ...]
+
+
+def search(
+    point: ForceModel,
+    named: Sequence[Effect],
+    free_forms: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+    progress: Progress,
+) -> Searched:
+    """Add effects to a fitted model until none is confirmed; free forms where no named one is."""
+    state = _State(point, {}, frozenset(p.effect.identity for p in point.placed), ())
+    nearest: list[Rated] = []
+    for number in range(1, options.most_effects + 1):
+        progress(f"search, effect {number}", 0.1 + 0.1 * number)
+        nearest = _ranking(state, named, training, options)
+        chosen = next((r for r in nearest if confirmed(r, options)), None)
+        if chosen is None:
+            ranking = _ranking(state, free_forms, training, options)
+            chosen = next((r for r in ranking if confirmed(r, options)), None)
+            nearest = sorted([*nearest, *ranking], key=lambda r: -r.gain.mean)
+        if chosen is None:
+            break
+        state = _with(state, chosen, nearest, training, options)
+        state = _without_idle(state, training, options)
+    progress("comparing rivals", 0.8)
+    state = _against_rivals(state, training, options)
+    last = {p.effect.identity: p for p in state.point.placed}
+    final = tuple(replace(r, placed=last[key]) for key, r in state.rated.items())
+    gone = tuple(name for name in state.dropped if name not in last)
+    return Searched(state.point, final, tuple(nearest[:3]), gone)
+
+
+def confirmed(rated: Rated, options: SearchOptions) -> bool:
+    """Return whether an effect is no chance, matters, and is not contradicted elsewhere."""
+    surely = rated.gain.statistic > options.standard_errors
+    matters = rated.share > options.least_gain and rated.force > options.least_force
+    return surely and matters and rated.gain.elsewhere
+
+
+def rate(
+    point: ForceModel,
+    candidates: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+    instead_of: Placed | None = None,
+) -> list[Rated]:
+    """Return the candidates that gain most, with fitted numbers, best first.
+
+    instead_of: the effect of the point whose place they take; their gain is that over the point.
+    """
+    if not candidates:
+        return []
+    whole = Beside.of(point, training)
+    rest = whole
+    if instead_of is not None:
+        others = tuple(p for p in point.placed if p is not instead_of)
+        rest = Beside.of(replace(point, placed=others), training)
+    screened = []
+    for effect in candidates:
+        taken = [(taken_at(rest, effect, s, options.told_from_model), s) for s in effect.grid]
+        best = max(((t, s) for t, s in taken if t is not None), default=None)
+        if best is not None:
+            screened.append((best[0], effect, best[1]))
+    screened.sort(key=lambda s: -s[0])
+    found = []
+    for _, effect, shape in screened[: options.shortlisted]:
+        placed = fitted_candidate(rest, effect, shape)
+        if placed is not None:
+            found.append(_rated(whole, rest, placed, instead_of))
+    return sorted(found, key=lambda r: -r.gain.mean)
+
+
+@dataclass(frozen=True)
+class _State:
+    """The model so far, the ratings of its found effects, the declared ones, and dropped ones."""
+
+    point: ForceModel
+    rated: dict[str, Rated]
+    declared: frozenset[str]
+    dropped: tuple[str, ...]
+
+
+def _ranking(
+    state: _State, table: Sequence[Effect], training: Training, options: SearchOptions
+) -> list[Rated]:
+    point = state.point
+    known = {p.effect.identity for p in point.placed} | set(state.dropped)
+    rubbed = {w for p in point.placed if p.effect.effect_class == _ONE_LAW for w in p.effect.where}
+    fresh = [e for e in table if e.identity not in known]
+    new = [e for e in fresh if e.effect_class != _ONE_LAW or not rubbed.intersection(e.where)]
+    ranking = rate(point, new, training, options)
+    for p in point.placed:
+        if p.effect.effect_class == _ONE_LAW:
+            same = [e for e in fresh if e.effect_class == _ONE_LAW and e.where == p.effect.where]
+            ranking += rate(point, same, training, options, p)
+    return sorted(ranking, key=lambda r: -r.gain.mean)
+
+
+def _with(
+    state: _State,
+    chosen: Rated,
+    ranking: Sequence[Rated],
+    training: Training,
+    options: SearchOptions,
+) -> _State:
+    """Return the state with the simplest of those that are not told apart from `chosen`."""
+    best = with_alternatives(chosen, ranking, options)
+    kept = tuple(p for p in state.point.placed if p is not best.instead_of)
+    rated = dict(state.rated)
+    declared = state.declared
+    if best.instead_of is not None:
+        rated.pop(best.instead_of.effect.identity, None)
+        declared = declared - {best.instead_of.effect.identity}
+    rated[best.placed.effect.identity] = best
+    point = training.fit(replace(state.point, placed=(*kept, best.placed)))
+    return _State(point, rated, declared, state.dropped)
+
+
+def with_alternatives(chosen: Rated, ranking: Sequence[Rated], options: SearchOptions) -> Rated:
+    """Return the simplest of those that are not told from `chosen`, with the others beside it."""
+    alike = [
+        r
+        for r in ranking
+        if r is chosen or (r.instead_of is chosen.instead_of and _alike(chosen, r, options))
+    ]
+    alike = [r for r in alike if confirmed(r, options)]
+    first = min(alike, key=lambda r: (r.numbers, -r.gain.mean))
+    rng = np.random.default_rng(0)
+    blocks = np.array([r.gain.blocks for r in ranking])
+    picks = rng.integers(blocks.shape[1], size=(options.resamples, blocks.shape[1]))
+    means = blocks[:, picks].mean(axis=2)
+    wins = np.where(means.max(axis=0) > 0.0, np.argmax(means, axis=0), -1)
+    kinds = [(r.placed.effect.effect_class, r.placed.effect.where) for r in ranking]
+    won = [float(np.mean(wins == i)) for i in range(len(ranking))]
+    named = {
+        id(r): sum(w for w, other in zip(won, kinds, strict=True) if other == kind)
+        for r, kind in zip(ranking, kinds, strict=True)
+    }
+    others = tuple(replace(r, support=named[id(r)]) for r in alike if r is not first)
+    contenders = tuple(r.placed.effect for r in ranking)
+    return replace(first, support=named[id(first)], alternatives=others, contenders=contenders)
+
+
+def _alike(best: Rated, other: Rated, options: SearchOptions) -> bool:
+    """Return whether two candidates gain alike, within the scatter of their difference."""
+    difference = best.gain.blocks - other.gain.blocks
+    error = difference.std(ddof=1) / np.sqrt(len(difference))
+    return bool(difference.mean() <= options.alike * error)
+
+
+def _rated(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:
+    """Return the gain of an effect beside `rest` over the model of `whole`."""
+    training = rest.training
+    before = training.judged(whole.at, whole.own, whole.acting)
+    after = training.judged(rest.at, rest.own, rest.acting, placed)
+    base, amplitudes = len(rest.own[0]), len(placed.amplitudes)
+    gain = gain_of(before, after, base, amplitudes, training.blocks.record)
+    taken = gain.mean * len(gain.blocks)
+    acting = sum(float(np.sum(f * f)) for f in whole.at.acting)
+    force = float(np.sqrt(max(taken, 0.0) / max(acting, np.finfo(float).tiny)))
+    return Rated(placed, gain, taken / whole.squares, force, instead_of)
+
+
+def _without_idle(state: _State, training: Training, options: SearchOptions) -> _State:
+    """Remove found effects that the criterion no longer confirms beside the others.
+
+    A law is judged without the free forms, which contain most laws; a free form beside all.
+    """
+    while len(state.rated) > 1:
+        idle = []
+        for p in state.point.placed:
+            if p.effect.identity in state.rated:
+                others = tuple(
+                    o for o in state.point.placed if o is not p and (_free(p) or not _free(o))
+                )
+                rest = Beside.of(replace(state.point, placed=others), training)
+                rated = _rated(rest, rest, p, None)
+                if not confirmed(rated, options):
+                    idle.append((rated.gain.statistic, p))
+        if not idle:
+            break
+        _, worst = min(idle, key=lambda pair: pair[0])
+        state = _removed(state, worst, training)
+    return state
+
+
+def _free(placed: Placed) -> bool:
+    return placed.effect.effect_class == "unknown"
+
+
+def _removed(state: _State, placed: Placed, training: Training) -> _State:
+    identity = placed.effect.identity
+    rated = {k: r for k, r in state.rated.items() if k != identity}
+    kept = tuple(p for p in state.point.placed if p is not placed)
+    point = training.fit(replace(state.point, placed=kept))
+    return _State(point, rated, state.declared, (*state.dropped, identity))
+
+
+def _against_rivals(state: _State, training: Training, options: SearchOptions) -> _State:
+    """Compare each found effect with its rivals beside all others; take the best or simplest."""
+    for identity, rated in list(state.rated.items()):
+        own = next((p for p in state.point.placed if p.effect.identity == identity), None)
+        if own is None or _free(own) or len(state.rated) < 2:
+            continue
+        kept = tuple(p for p in state.point.placed if p is not own)
+        known = {p.effect.identity for p in kept}
+        rivals = [e for e in (own.effect, *rated.contenders) if e.identity not in known]
+        rivals = list({e.identity: e for e in rivals}.values())
+        rest = training.fit(replace(state.point, placed=kept))
+        ranking = rate(rest, rivals, training, options)
+        chosen = next((r for r in ranking if confirmed(r, options)), None)
+        if chosen is None:
+            continue
+        best = with_alternatives(chosen, ranking, options)
+        others = {k: r for k, r in state.rated.items() if k != identity}
+        others[best.placed.effect.identity] = best
+        point = training.fit(replace(rest, placed=(*kept, best.placed)))
+        state = _State(point, others, state.declared, state.dropped)
+    return state

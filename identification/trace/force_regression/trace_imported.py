@@ -1,0 +1,226 @@
+"""Trace imported records: fit the declared model, search for effects, report on unseen rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from ....config.model import ModelConfig
+from ....model.effects.base import Effect, Places
+from ....model.effects.effect_serialization import placed_effects
+from ....model.effects.freeform import freeform_effects
+from ....model.effects.operating_range import Extent
+from ...greybox.declared_model_from_config import declared_model
+from ...greybox.force_balance.band_limited_signals import (
+    BAND_STEPS,
+    SHORTEST_ROWS,
+    middle_limit,
+)
+from ...greybox.free_parameters import free_parameters
+from ...greybox.intersample_input import Hold
+from ...records.record import IdentificationError
+from ..records.check_common_session_time import overlap, timeless
+from ..records.initial_guesses import extent
+from ..records.read_records import read_records
+from ..records.record_from_log import TraceRecord
+from .candidate_fit import Beside
+from .force_record import ForceModel, ForceRecord
+from .held_out_gain import Blocks
+from .intervals import standard_errors
+from .reported_errors import PooledError, ReportedError, output_noise, reported_error
+from .residual_whitening import Whitening, whitening_of
+from .richest_free_form import residual_of_richest
+from .search import Progress, Searched, search
+from .search_options import SearchOptions
+from .training_records import Training
+
+Array = NDArray[np.float64]
+
+_MIDDLE = BAND_STEPS[len(BAND_STEPS) // 2]
+
+
+@dataclass(frozen=True)
+class ForceTrace:
+    """The result of a trace of imported records.
+
+    declared: the refitted model without new effects; found: the search's result; errors: standard
+    errors of its numbers. before, after: errors on the reported rows, `free_form` (n,): what a free
+    form of all signals leaves there of the force, in per cent. noise_sd (n,): of each output;
+    noise_stated: whether the signals files state it. fitted, reported: the records below the band's
+    limit `limit_hz`.
+    """
+
+    config: ModelConfig
+    places: Places
+    declared: ForceModel
+    found: Searched
+    errors: Array
+    before: tuple[ReportedError, ...]
+    after: tuple[ReportedError, ...]
+    free_form: Array
+    noise_sd: Array
+    noise_stated: bool
+    limit_hz: float
+    fitted: tuple[ForceRecord, ...]
+    reported: tuple[ForceRecord, ...]
+    notes: tuple[str, ...]
+    options: SearchOptions
+
+
+def trace_imported(
+    logs: Sequence[Path],
+    config: ModelConfig,
+    effects: Callable[[Places, Extent], Sequence[Effect]],
+    progress: Progress,
+    options: SearchOptions | None = None,
+) -> ForceTrace:
+    """Find the effects that the model of `config` lacks in imported records.
+
+    The last quarter of every record only reports. Raises IdentificationError without records, for
+    records that are too short, or whose schedule moves.
+    """
+    # Every matrix is small: BLAS threads would cost more than they give.
+    with threadpool_limits(1):
+        return _traced(logs, config, effects, progress, options or SearchOptions())
+
+
+def _traced(
+    logs: Sequence[Path],
+    config: ModelConfig,
+    effects: Callable[[Places, Extent], Sequence[Effect]],
+    progress: Progress,
+    options: SearchOptions,
+) -> ForceTrace:
+    progress("reading logs", 0.0)
+    by_path, notes = read_records(logs, config)
+    records = list(by_path.values())
+    _require_rows(records, options)
+    hold = config.input
+    limit_hz = middle_limit([r.experiment for r in records], hold)
+    parts = [_split(r, options.reported) for r in records]
+    train, kept = [p[0] for p in parts], [p[1] for p in parts]
+    fitted = tuple(ForceRecord.of(r, hold, limit_hz) for r in train)
+    reported = tuple(ForceRecord.of(r, hold, limit_hz) for r in kept)
+    places = records[0].places
+    covered = extent(train)
+    # Far below its resonance, an effect is a change of mass, stiffness and damping.
+    covered = replace(covered, fastest_hz=min(covered.fastest_hz, limit_hz / 2))
+
+    progress("fitting the declared model", 0.05)
+    start = ForceModel(
+        declared_model(config),
+        free_parameters(config),
+        placed_effects(config.effects, places, covered),
+    )
+    training, declared = _weighed(start, fitted, limit_hz, options)
+    known = {p.effect.identity for p in declared.placed}
+    named = [e for e in effects(places, covered) if e.identity not in known]
+    named = [e for e in named if not any(w.startswith("sensor") for w in e.where)]
+    free = [e for e in freeform_effects(places, covered) if e.where[0] in places.dof]
+    overlapping = overlap(records)
+    if overlapping:
+        named, timed = timeless(named, places, covered)
+        free, _ = timeless(free, places, covered)
+        if timed:
+            kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
+            note = f"{overlapping} overlap: effects that depend on session time"
+            notes = (*notes, f"{note} are not searched ({kinds})")
+    found = search(declared, named, free, training, options, progress)
+
+    progress("intervals", 0.9)
+    others = [
+        _training_below(found.point, train, hold, limit_hz * _MIDDLE / step, options)
+        for step in BAND_STEPS
+        if step != _MIDDLE
+    ]
+    errors = standard_errors(found.point, training, others)
+    progress("reporting on unseen rows", 0.95)
+    sd, stated = output_noise(records)
+    before, after = (
+        tuple(
+            reported_error(point, record, seen, hold, sd)
+            for record, seen in zip(kept, reported, strict=True)
+        )
+        for point in (declared, found.point)
+    )
+    whole = Beside.of(found.point, training)
+    left = residual_of_richest(found.point, fitted, _plain_columns(whole, fitted))
+    acting = [r.input_force(found.point.model) for r in fitted]
+    free_form = 100.0 * _rms(left) / _rms([f - f.mean(axis=0) for f in acting])
+    return ForceTrace(
+        config, places, declared, found, errors, before, after, free_form, sd, stated, limit_hz,
+        fitted, reported, notes, options,
+    )  # fmt: skip
+
+
+def _weighed(
+    start: ForceModel, fitted: tuple[ForceRecord, ...], limit_hz: float, options: SearchOptions
+) -> tuple[Training, ForceModel]:
+    """Return the training records with their weights, and the model fitted to them."""
+    acting = np.concatenate([r.input_force(start.model) for r in fitted])
+    flat = np.maximum(np.var(acting, axis=0), np.finfo(float).tiny) * np.ones((2, 1))
+    plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
+    blocks = Blocks.of([r.rows for r in fitted], options.blocks)
+    training = Training(fitted, plain, blocks)
+    point = training.first_fit(start)
+    beside = Beside.of(point, training)
+    left = residual_of_richest(point, fitted, _plain_columns(beside, fitted))
+    white = whitening_of(left, fitted[0].band.row_s, limit_hz)
+    # If the columns contain the inputs' force, its gain is free, and masses set the scale.
+    pushed = np.concatenate([f.reshape(-1) for f in beside.at.acting])
+    outside = float(np.sum(beside.without(pushed[:, None]) ** 2))
+    relative = outside > options.told_from_model * float(pushed @ pushed)
+    training = Training(fitted, white, blocks, relative)
+    return training, training.first_fit(point)
+
+
+def _plain_columns(beside: Beside, fitted: tuple[ForceRecord, ...]) -> list[Array]:
+    """Return the columns of a model without weights, each record (C, rows, n)."""
+    n = fitted[0].kept[0].shape[1]
+    limit_hz = fitted[0].band.cutoff_hz
+    plain = Whitening(np.array([0.0, limit_hz]), np.ones((2, n)), limit_hz)
+    training = replace(beside.training, whitening=plain)
+    return training.columns(training.at(beside.at.point))
+
+
+def _training_below(
+    point: ForceModel,
+    train: Sequence[TraceRecord],
+    hold: Hold,
+    limit_hz: float,
+    options: SearchOptions,
+) -> Training:
+    """Return the training records below another limit, weighed by the found model's residual."""
+    records = tuple(ForceRecord.of(r, hold, limit_hz) for r in train)
+    missing = [r.missing_force(point) for r in records]
+    white = whitening_of([m - m.mean(axis=0) for m in missing], records[0].band.row_s, limit_hz)
+    return Training(records, white, Blocks.of([r.rows for r in records], options.blocks))
+
+
+def _split(record: TraceRecord, reported: float) -> tuple[TraceRecord, TraceRecord]:
+    at = round((1.0 - reported) * record.rows)
+    return record.cut(0, at), record.cut(at, record.rows)
+
+
+def _require_rows(records: Sequence[TraceRecord], options: SearchOptions) -> None:
+    least = round(SHORTEST_ROWS / options.reported)
+    for record in records:
+        if record.rows < least:
+            raise IdentificationError(
+                f"record '{record.name}': expected at least {least} rows, of which the last "
+                f"{options.reported:.0%} only report, found {record.rows}"
+            )
+
+
+def _rms(values: Sequence[Array]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.concatenate(list(values)) ** 2, axis=0)))
+
+
+def pooled_errors(trace: ForceTrace) -> tuple[PooledError, PooledError]:
+    """Return the errors of all records together, before and after."""
+    return PooledError.of(trace.before), PooledError.of(trace.after)

@@ -1,0 +1,277 @@
+"""Write the report on a trace of imported records: the answer, the errors, each law, the search."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...config.model import EffectParameter
+from ...identification.trace.force_regression.force_trace_summary import (
+    ABOUT,
+    ForceOutcome,
+    FoundLaw,
+    force_outcome,
+    model_with_effects,
+)
+from ...identification.trace.force_regression.search import Rated
+from ...identification.trace.force_regression.trace_imported import ForceTrace
+from ..plotting.figure_to_svg import Picture, to_svg
+from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
+from ..plotting.labelled_frequency_responses import symbol
+from .effect_shapes import effect_shapes
+from .law_shapes import law_shapes
+from .missing_force import missing_force
+from .number_format import CONFIDENCE, plain, unit_text, with_interval
+
+
+def imported_report(trace: ForceTrace, out_dir: Path) -> Path:
+    """Write the report on a trace of imported records and return the page's path.
+
+    Raises:
+        OSError: the page cannot be written.
+    """
+    result = force_outcome(trace)
+    sections = [
+        Section("Summary", (*_answer(trace, result), Figures(_numbers(result)))),
+        Section("Force that the model lacks", _force_parts(trace, result)),
+        *(
+            Section(f"{number}. {law.name}", _law_parts(trace, law, number))
+            for number, law in enumerate(result.laws, start=1)
+        ),
+        Section("Parameters", (_parameters(trace),)),
+        Section("Search", _search_parts(trace)),
+        Section("Records", (_records(trace),)),
+        Section("What next", (Steps(tuple(_steps(result, out_dir))),)),
+    ]
+    title = ", ".join(law.name for law in result.laws) or "no effect confirmed"
+    return write_report(out_dir, f"Trace of {trace.config.name}: {title}", sections)
+
+
+def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
+    texts = [Text(f"{result.verdict[0].upper()}{result.verdict[1:]}.", "lead")]
+    for law in result.laws:
+        values = ", ".join(f"{n} = {with_interval(p)}" for n, p in law.parameters.items())
+        if law.free:
+            text = f"{law.name}: a free form; its coefficients have no physical meaning."
+        else:
+            text = f"{law.name}: {values} (95 %)."
+        if law.alternatives:
+            text += " These records do not tell its members apart."
+        if law.laws:
+            names = ", ".join(r.placed.effect.title for r in law.laws)
+            text += f" Other laws fit as well: {names}."
+        texts.append(Text(text))
+    about = ABOUT[result.metric].format(limit=trace.limit_hz)
+    texts.append(Text(f"Error: {about}.", "note"))
+    if result.floor is None:
+        texts.append(
+            Text(
+                "No record tells noise from what the model lacks, so nothing here says that the "
+                "model explains the records. State noise_sd of the outputs in the signals file, if "
+                "you know it.",
+                "note",
+            )
+        )
+    return texts
+
+
+def _numbers(result: ForceOutcome) -> tuple[Number, ...]:
+    numbers = []
+    for i, name in enumerate(result.dof):
+        before, after = (e.force_percent[i] for e in (result.before, result.after))
+        numbers.append(Number(f"{before:.3g} %", f"of the force at {symbol(name)} missing before"))
+        numbers.append(Number(f"{after:.3g} %", f"of the force at {symbol(name)} missing after"))
+    if result.metric == "free_run":
+        for i, name in enumerate(result.dof):
+            percent = result.after.percent[i]
+            numbers.append(Number(f"{percent:.3g} %", f"free-run error of {symbol(name)}, after"))
+    return tuple(numbers)
+
+
+def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Part, ...]:
+    rows = []
+    for i, name in enumerate(result.dof):
+        cells = [symbol(name)]
+        for error in (result.before, result.after):
+            cells.append(f"{error.force_percent[i]:.3g} %")
+        cells.append(f"{result.free_form[i]:.3g} %")
+        for error in (result.before, result.after):
+            value = error.percent[i]
+            cells.append(f"{value:.3g} %" if np.isfinite(value) else "—")
+        rows.append(tuple(cells))
+    head = (
+        "DOF", "force, before", "force, after", "free form", "free run, before", "free run, after",
+    )  # fmt: skip
+    return (
+        Text(
+            f"M q″ + D q′ + K q − B u below {trace.limit_hz:.3g} Hz, on rows that neither fitted "
+            "the model nor chose its effects."
+        ),
+        Picture(
+            "missing-force",
+            to_svg(missing_force(trace)),
+            "Force of the inputs and missing force over time",
+            "Missing force before and after, without its mean, on rows that only report.",
+        ),
+        Table(
+            "Errors of all reported rows: missing force over the inputs' force, free-run error "
+            "over the output. Free form: what a general function of all signals leaves of the "
+            "force in the fitted rows",
+            head,
+            tuple(rows),
+        ),
+    )
+
+
+def _law_parts(trace: ForceTrace, law: FoundLaw, number: int) -> tuple[Part, ...]:
+    effect, rated = law.placed.effect, law.rated
+    parts: list[Part] = [Text(f"{effect.equation}.", "lead")]
+    shapes = law_shapes(trace, law)
+    if shapes:
+        parts.append(
+            Picture(
+                f"law-{number}",
+                to_svg(effect_shapes(shapes)),
+                f"{effect.name} over its signal and over time",
+                "Measured: the law's force and what the model lacks beside it, without the mean.",
+            )
+        )
+    if not law.free:
+        rows = [
+            (name, with_interval(p), _half(p.value, p.se)) for name, p in law.parameters.items()
+        ]
+        parts.append(
+            Table(
+                "Parameters with 95 % intervals: scatter of blocks of time, and choice of the band",
+                ("parameter", "value", "half the interval"),
+                tuple(rows),
+            )
+        )
+    others = [g for g in rated.gain.others if np.isfinite(g)]
+    asked = f"{len(others)} parts of the records that did not fit it agree" if others else ""
+    parts.append(
+        Text(
+            f"It takes {100 * rated.share:.3g} % of the squared missing force of blocks that did "
+            f"not fit it, {rated.gain.statistic:.1f} times its standard error. {asked}"
+        )
+    )
+    rivals = [*law.alternatives, *law.laws]
+    if rivals:
+        parts.append(
+            Table(
+                "Not told apart from it by these records",
+                ("effect", "equation", "share of the squared missing force"),
+                tuple(_rival(r) for r in rivals),
+                labels=2,
+            )
+        )
+    if effect.told_apart_by:
+        parts.append(Text(f"To tell it from others: {effect.told_apart_by}.", "note"))
+    return tuple(parts)
+
+
+def _rival(rated: Rated) -> tuple[str, str, str]:
+    effect = rated.placed.effect
+    return effect.name, effect.equation, f"{100 * rated.share:.3g} %"
+
+
+def _half(value: float, se: float | None) -> str:
+    if se is None or value == 0.0:
+        return "—"
+    return f"{plain(100 * CONFIDENCE * se / abs(value), 2)} %"
+
+
+def _parameters(trace: ForceTrace) -> Table:
+    declared = trace.config.parameters
+    rows = [
+        (
+            name,
+            f"{plain(declared[name].value)} {unit_text(declared[name].unit)}",
+            with_interval(EffectParameter(value=p.value, unit=p.unit, se=p.se)),
+        )
+        for name, p in model_with_effects(trace).parameters.items()
+        if name in trace.found.point.parameters.names
+    ]
+    return Table(
+        "Parameters of the declared model, with 95 % intervals where the records tell them",
+        ("parameter", "declared", "fitted"),
+        tuple(rows),
+    )
+
+
+def _search_parts(trace: ForceTrace) -> tuple[Part, ...]:
+    o = trace.options
+    parts: list[Part] = [
+        Text(
+            f"An effect is added if it takes more than {100 * o.least_gain:.0f} % of the squared "
+            f"missing force of blocks that did not fit it, by more than {o.standard_errors:g} "
+            "standard errors, and if no other record contradicts it. Of effects that are not told "
+            "apart, the one with the fewest numbers is added."
+        )
+    ]
+    nearest = trace.found.nearest
+    if nearest:
+        parts.append(
+            Table(
+                "What came nearest after that, not added",
+                (
+                    "effect",
+                    "share of the squared missing force",
+                    "over its standard error",
+                    "other records",
+                ),
+                tuple(
+                    (
+                        r.placed.effect.name,
+                        f"{100 * r.share:.3g} %",
+                        f"{r.gain.statistic:.1f}",
+                        "agree" if r.gain.elsewhere else "contradict",
+                    )
+                    for r in nearest
+                ),
+            )
+        )
+    return tuple(parts)
+
+
+def _records(trace: ForceTrace) -> Table:
+    rows = []
+    for before, after, fitted in zip(trace.before, trace.after, trace.fitted, strict=True):
+        parts = [
+            f"{100 * np.sqrt(np.mean((e.force / e.force_acting) ** 2)):.3g} %"
+            for e in (before, after)
+        ]
+        seconds = f"{fitted.rows * fitted.band.row_s:.3g} s"
+        rows.append((after.record, seconds, f"{after.seconds:.3g} s", *parts))
+    return Table(
+        "Records: time that fitted and chose, time that only reports, missing force there",
+        ("record", "fitted", "reported", "before", "after"),
+        tuple(rows),
+    )
+
+
+def _steps(result: ForceOutcome, out_dir: Path) -> Sequence[tuple[str, str]]:
+    model = shlex.quote(str(out_dir / "model.yaml"))
+    steps = []
+    for law in result.laws:
+        if law.alternatives:
+            how = law.placed.effect.told_apart_by or "another excitation"
+            steps.append((f"Tell {law.name} apart: {how}.", ""))
+    if result.laws:
+        steps.append(
+            (
+                "Identify with the effects in the model: they are taken out of the records first.",
+                f"levid identify LOG... --model {model} --out DIR",
+            )
+        )
+    steps.append(
+        (
+            "Record other amplitudes and speeds: an effect shows where it differs from the linear "
+            "model.",
+            "",
+        )
+    )
+    return steps

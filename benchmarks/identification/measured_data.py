@@ -1,9 +1,10 @@
 """Identify measured data of other rigs by `levid identify`: linear parameters, errors, time.
 
-EMPS, a drive in a cascade (both records, alone and together, controller given and unknown), and two
+EMPS, a drive in a cascade (both records, alone and together, controller given and unknown), two
 levitated magnets with an unknown controller, current or voltage as input, once with the published
-controller. Nothing is tuned to them. The data are no part of the project: `shared/data` beside the
-checkout, or --data DIR. Data that are not there are left out.
+controller, and an inverted pendulum. Nothing is tuned to them. The pendulum's data are in
+`tests/data/measured`. The others are no part of the project: `shared/data` beside the checkout, or
+--data DIR. Data that are not there are left out.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from levid.config.shipped import shipped
 from levid.identification.subspace.response_uncertainty import SURE_95
 from levid.log.importing.importer import import_file
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "data"
+PENDULUM = ROOT / "tests" / "data" / "measured" / "qube"
 MINUTE = Target(most=60.0)
 
 
@@ -44,7 +47,7 @@ class Case:
 
 def cases() -> dict[str, Case]:
     """Return the cases by key."""
-    return {**_emps(), **_magnets()}
+    return {**_emps(), **_magnets(), **_pendulum()}
 
 
 def _emps() -> dict[str, Case]:
@@ -93,6 +96,11 @@ def _magnets() -> dict[str, Case]:
     return found
 
 
+def _pendulum() -> dict[str, Case]:
+    signals, model = (read_mapping(PENDULUM / f"{name}.yaml") for name in ("signals", "model"))
+    return {"pendulum": Case("QUBE-Servo", (str(PENDULUM / "qube.csv"),), (signals,), model)}
+
+
 def identified(case: Case, data: Path, folder: Path) -> tuple[dict[str, Any], float]:
     """Import and identify; return the JSON of `levid identify`, and its time in s."""
     logs = []
@@ -128,9 +136,7 @@ def measure(data: Path, names: Sequence[str]) -> Iterator[Figure]:
             if p["se"] is not None:
                 yield Figure(f"{key}_{name}", p["value"], p["unit"], f"{case.label}: {name}")
                 yield Figure(f"{key}_{name}_interval", SURE_95 * p["se"], p["unit"], "  +- (95 %)")
-                for band, value in zip(
-                    ("low", "middle", "high"), _by_band(grey, name), strict=True
-                ):
+                for band, value in _by_band(grey, name).items():
                     yield Figure(f"{key}_{name}_{band}", value, p["unit"], f"  {band} limit")
         for v in grey["validation"]:
             where = f"{key}_{v['record']}" if len(grey["validation"]) > 1 else key
@@ -156,8 +162,11 @@ def _pole(mode: Mapping[str, Any]) -> float:
     return -2.0 * math.pi * float(mode["frequency_hz"]) * math.copysign(1.0, mode["damping"])
 
 
-def _by_band(grey: Mapping[str, Any], name: str) -> list[float]:
-    return list(grey["balance"]["by_band"][name]) if grey["balance"] else [math.nan] * 3
+def _by_band(grey: Mapping[str, Any], name: str) -> dict[str, float]:
+    """Return a parameter by frequency limit; empty if the maximum likelihood gave it."""
+    if not grey["balance"]:
+        return {}
+    return dict(zip(("low", "middle", "high"), grey["balance"]["by_band"][name], strict=True))
 
 
 def main() -> None:

@@ -83,18 +83,22 @@ def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: floa
     remains = np.sum(left * left, axis=0) > told_from_model * np.sum(X * X, axis=0)
     if not np.any(remains):
         return None
-    left = beside.without(beside.forces(effect, shape, keep=True))
-    amplitudes = _amplitudes(effect, left, beside.rest)
+    X = beside.forces(effect, shape, keep=True)
+    left = beside.without(X)
+    amplitudes = _amplitudes(effect, X, left, beside.rest, told_from_model)
     return float(beside.squares - np.sum((beside.rest - left @ amplitudes) ** 2))
 
 
-def fitted_candidate(beside: Beside, effect: Effect, shape: Shape) -> Placed | None:
+def fitted_candidate(
+    beside: Beside, effect: Effect, shape: Shape, told_from_model: float
+) -> Placed | None:
     """Return an effect with the numbers that leave least, from a start shape; None if it does
     nothing."""
 
     def at(x: Array) -> tuple[Array, Array]:
-        left = beside.without(beside.forces(effect, _shape(effect.shape, x)))
-        amplitudes = _amplitudes(effect, left, beside.rest)
+        X = beside.forces(effect, _shape(effect.shape, x))
+        left = beside.without(X)
+        amplitudes = _amplitudes(effect, X, left, beside.rest, told_from_model)
         return amplitudes, np.asarray(beside.rest - left @ amplitudes)
 
     def residual(x: Array) -> Array:
@@ -126,17 +130,25 @@ def flat(columns: Sequence[Array]) -> Array:
     return np.asarray(np.hstack([c.reshape(len(c), -1) for c in columns]).T)
 
 
-def _amplitudes(effect: Effect, left: Array, rest: Array) -> Array:
-    """Return the least-squares amplitudes within their bounds."""
-    size = np.linalg.norm(left, axis=0)
+def _amplitudes(
+    effect: Effect, X: Array, left: Array, rest: Array, told_from_model: float
+) -> Array:
+    """Return the least-squares amplitudes within their bounds.
+
+    X are the effect's forces, `left` without their part in the model's columns. Combinations of
+    which less than `told_from_model` of the square is left get no amplitude: they are the model's.
+    """
+    size = np.linalg.norm(X, axis=0)
     size = np.where(size > 0.0, size, 1.0)
     low = np.array([q.low for q in effect.amplitudes]) * size
     high = np.array([q.high for q in effect.amplitudes]) * size
     Q, R = np.linalg.qr(left / size)
-    b = Q.T @ rest
-    found = np.linalg.lstsq(R, b, rcond=1e-9)[0]
+    U, s, Vt = np.linalg.svd(R)
+    told = s > np.sqrt(told_from_model)
+    b = U.T @ (Q.T @ rest)
+    found = Vt.T @ np.where(told, b / np.where(told, s, 1.0), 0.0)
     if np.any(found < low) or np.any(found > high):
-        found = np.clip(lsq_linear(R, b, (low, high)).x, low, high)
+        found = np.clip(lsq_linear((s * told)[:, None] * Vt, b * told, (low, high)).x, low, high)
     return np.asarray(found / size)
 
 

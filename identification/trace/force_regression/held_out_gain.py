@@ -38,7 +38,7 @@ class Blocks:
         return cls(edges, np.repeat(np.arange(len(rows)), counts))
 
     def grams(self, columns: Sequence[Array], missing: Sequence[Array]) -> Array:
-        """Return the Gram matrix of each block (B, C + 1, C + 1).
+        """Return the Gram matrix of each block and DOF (B, n, C + 1, C + 1).
 
         columns: of each record (C, rows, n); missing: of each record (rows, n).
         """
@@ -46,8 +46,8 @@ class Blocks:
         for edges, own, left in zip(self.edges, columns, missing, strict=True):
             whole = np.concatenate([own, left[None]])
             for first, last in pairwise(edges.tolist()):
-                part = whole[:, first:last].reshape(len(whole), -1)
-                found.append(part @ part.T)
+                part = np.moveaxis(whole[:, first:last], 2, 0)
+                found.append(part @ np.swapaxes(part, 1, 2))
         return np.array(found)
 
 
@@ -79,9 +79,9 @@ def squared_errors(gram: Array, coefficients: Array) -> Array:
 class Columns:
     """A model's Gram matrices: what blocks say of its numbers, and how these change what acts.
 
-    grams (B, C + 1, C + 1): of [columns, missing force] in each block. acting (C + 1, C + 1): of
-    [change of the inputs' force by each number, the inputs' force] over all blocks. prior: of the
-    columns.
+    grams (B, n, C + 1, C + 1): of [columns, missing force] in each block, by DOF. acting (n, C + 1,
+    C + 1): of [change of the inputs' force by each number, the inputs' force] over all blocks.
+    prior (C + 1, C + 1): of the columns.
     """
 
     grams: Array
@@ -91,20 +91,29 @@ class Columns:
     def left_out_errors(self) -> Array:
         """Return each block's squared error (B,) by the coefficients of all other blocks.
 
-        It is relative to the force that then acts: a model in which all forces are small explains
-        nothing.
+        The error of each DOF is relative to the force that then acts on it: a model in which all
+        forces are small explains nothing.
         """
-        coefficients = fitted(self.grams.sum(axis=0) - self.grams, self.prior)
-        errors = squared_errors(self.grams, coefficients)
+        together = self.grams.sum(axis=1)
+        coefficients = fitted(together.sum(axis=0) - together, self.prior)
+        errors = squared_errors(self.grams, coefficients[:, None])
         whole = np.column_stack([coefficients, np.ones(len(errors))])
-        power = np.einsum("bi,ij,bj->b", whole, self.acting, whole)
-        return np.asarray(errors * self.acting[-1, -1] / np.maximum(power, np.finfo(float).tiny))
+        power = np.einsum("bi,nij,bj->bn", whole, self.acting, whole)
+        plain = self.acting[:, -1, -1]
+        relative = plain / np.maximum(power, 1e-12 * np.maximum(plain, np.finfo(float).tiny))
+        return np.asarray(np.sum(errors * np.where(plain > 0.0, relative, 1.0), axis=1))
+
+    def over(self, inside: NDArray[np.bool_]) -> Array:
+        """Return the Gram matrix (C + 1, C + 1) of some blocks, over all DOF."""
+        return np.asarray(self.grams[inside].sum(axis=(0, 1)))
 
     def only(self, columns: Sequence[int]) -> Columns:
         """Return the columns with these numbers, in this order."""
-        pick = [*columns, len(self.acting) - 1]
-        square = np.ix_(pick, pick)
-        return Columns(self.grams[:, pick][:, :, pick], self.acting[square], self.prior[square])
+        pick = [*columns, len(self.prior) - 1]
+        rows, across = np.ix_(pick, pick)
+        return Columns(
+            self.grams[:, :, rows, across], self.acting[:, rows, across], self.prior[rows, across]
+        )
 
 
 @dataclass(frozen=True)
@@ -156,11 +165,11 @@ def gain_of(
     others = np.full(len(kinds), np.nan)
     for i, kind in enumerate(kinds.tolist()):
         inside = groups == kind
-        rest, own = few.grams[~inside].sum(axis=0), few.grams[inside].sum(axis=0)
+        rest, own = few.over(~inside), few.over(inside)
         extra = fitted(rest, few.prior)[base:]
         if _foretold(rest, own, base, extra):
             # The model's own parameters are those of the record: only the effect is foreign.
-            without = before.grams[inside].sum(axis=0)
+            without = before.over(inside)
             at_home = squared_errors(without, fitted(without, before.prior))
             small = _with_fixed(own, base, extra)
             prior = _with_fixed(few.prior, base, 0.0 * extra)

@@ -28,7 +28,7 @@ def standard_errors(point: ForceModel, training: Training, others: Sequence[Trai
     size = np.where(size > 0.0, size, 1.0)
     grams = training.judged(at, columns, training.acting_columns(at))
     scale = np.append(size, 1.0)
-    blocks = grams.grams / scale[:, None] / scale
+    blocks = grams.grams.sum(axis=1) / scale[:, None] / scale
     prior = grams.prior / scale[:, None] / scale
     inner = blocks.sum(axis=0)[:-1, :-1] + prior[:-1, :-1]
     scores = blocks[:, :-1, -1]

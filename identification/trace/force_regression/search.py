@@ -91,9 +91,10 @@ def search(
     progress("comparing rivals", 0.8)
     state = _against_rivals(state, training, options)
     last = {p.effect.identity: p for p in state.point.placed}
-    final = tuple(replace(r, placed=last[key]) for key, r in state.rated.items())
+    final = [replace(r, placed=last[key]) for key, r in state.rated.items()]
+    final.sort(key=lambda r: (_free(r.placed), -r.force))
     gone = tuple(name for name in state.dropped if name not in last)
-    return Searched(state.point, final, tuple(nearest[:3]), gone)
+    return Searched(state.point, tuple(final), tuple(nearest[:3]), gone)
 
 
 def confirmed(rated: Rated, options: SearchOptions) -> bool:
@@ -130,7 +131,7 @@ def rate(
     screened.sort(key=lambda s: -s[0])
     found = []
     for _, effect, shape in screened[: options.shortlisted]:
-        placed = fitted_candidate(rest, effect, shape)
+        placed = fitted_candidate(rest, effect, shape, options.told_from_model)
         if placed is not None:
             found.append(_rated(whole, rest, placed, instead_of))
     return sorted(found, key=lambda r: -r.gain.mean)

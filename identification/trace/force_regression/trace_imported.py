@@ -84,21 +84,33 @@ def trace_imported(
     The last quarter of every record only reports. Raises IdentificationError without records, for
     records that are too short, or whose schedule moves.
     """
+    progress("reading logs", 0.0)
+    records, notes = read_records(logs, config)
+    return trace_records(list(records.values()), config, effects, progress, options, notes)
+
+
+def trace_records(
+    records: Sequence[TraceRecord],
+    config: ModelConfig,
+    effects: Callable[[Places, Extent], Sequence[Effect]],
+    progress: Progress,
+    options: SearchOptions | None = None,
+    notes: tuple[str, ...] = (),
+) -> ForceTrace:
+    """Return the same for records in memory; `notes` become those of the result."""
     # Every matrix is small: BLAS threads would cost more than they give.
     with threadpool_limits(1):
-        return _traced(logs, config, effects, progress, options or SearchOptions())
+        return _traced(records, config, effects, progress, options or SearchOptions(), notes)
 
 
 def _traced(
-    logs: Sequence[Path],
+    records: Sequence[TraceRecord],
     config: ModelConfig,
     effects: Callable[[Places, Extent], Sequence[Effect]],
     progress: Progress,
     options: SearchOptions,
+    notes: tuple[str, ...],
 ) -> ForceTrace:
-    progress("reading logs", 0.0)
-    by_path, notes = read_records(logs, config)
-    records = list(by_path.values())
     _require_rows(records, options)
     hold = config.input
     limit_hz = middle_limit([r.experiment for r in records], hold)

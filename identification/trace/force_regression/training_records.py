@@ -38,14 +38,14 @@ def numbers_of(placed: Placed) -> int:
 class Evaluated:
     """A model at its present numbers: weighed missing force and acting force of each record.
 
-    missing, acting: (rows, n). share: the inputs' force without effects over that with them, RMS;
-    missing is multiplied by it.
+    missing, acting: (rows, n). share (n,): the inputs' force without effects over that with them,
+    RMS; missing is multiplied by it.
     """
 
     point: ForceModel
     missing: list[Array]
     acting: list[Array]
-    share: float
+    share: Array
 
     @property
     def squares(self) -> float:
@@ -72,19 +72,20 @@ class Training:
     def at(self, point: ForceModel) -> Evaluated:
         """Return the missing force of a model."""
         model, acting = point.model, []
-        share = 1.0
-        whole = plain = 0.0
+        n = self.records[0].kept[0].shape[1]
+        whole, plain = np.zeros(n), np.zeros(n)
         for r in self.records:
             given = force = r.input_force(model)
             for p in point.placed:
                 held = r.held_forces(model, p.effect, p.shape)
                 force = force + np.tensordot(np.array(p.amplitudes), held, 1)
             acting.append(self._weighed(r, force))
-            whole += float(np.sum(acting[-1] ** 2))
+            whole += np.sum(acting[-1] ** 2, axis=0)
             if point.placed:
-                plain += float(np.sum(self._weighed(r, given) ** 2))
-        if self.relative and point.placed and whole > 0.0:
-            share = float(np.sqrt(plain / whole))
+                plain += np.sum(self._weighed(r, given) ** 2, axis=0)
+        share = np.ones(n)
+        if self.relative and point.placed:
+            share = np.sqrt(np.divide(plain, whole, out=np.ones(n), where=whole > 0.0))
         missing = [share * self._weighed(r, r.missing_force(point)) for r in self.records]
         return Evaluated(point, missing, acting, share)
 
@@ -110,10 +111,13 @@ class Training:
         held = [r.held_forces(model, effect, shape, keep) for r in self.records]
         if not self.relative or plain or not any(np.any(h) for h in held):
             return forces
-        power = max(sum(np.sum(f * f) for f in at.acting), np.finfo(float).tiny)
+        power = np.sum([np.sum(f * f, axis=0) for f in at.acting], axis=0)
+        power = np.maximum(power, np.finfo(float).tiny)
         white = [self._weighed(r, h) for r, h in zip(self.records, held, strict=True)]
-        along = sum(np.tensordot(h, f, 2) for h, f in zip(white, at.acting, strict=True)) / power
-        return [f + np.multiply.outer(along, m) for f, m in zip(forces, at.missing, strict=True)]
+        along = sum(np.sum(h * f, axis=1) for h, f in zip(white, at.acting, strict=True)) / power
+        return [
+            f + np.asarray(along)[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)
+        ]
 
     def effect_columns(self, at: Evaluated, placed: Placed) -> list[Array]:
         """Return the columns of an effect's amplitudes and shape, each record (c, rows, n)."""
@@ -254,7 +258,7 @@ class Training:
             pick = [*range(base), base + count]
             wide[np.ix_(pick, pick)] = prior
             prior = wide
-        power = self.blocks.grams(changes, at.acting).sum(axis=0)
+        power = self.blocks.grams(changes, at.acting).sum(axis=0)  # over blocks
         return Columns(self.blocks.grams(columns, at.missing), power, prior)
 
     def _cost(self, point: ForceModel) -> float:

@@ -124,7 +124,7 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
     log, resampling_remarks = resample(log)
     if "signals.yaml" in log.attachments:
         remarks = (*experiment.contradictions, *experiment.remarks)
-        return replace(_imported(experiment, model), remarks=remarks)
+        return replace(imported_trace_record(experiment, model), remarks=remarks)
     at_limit = cycles_at_limit(log)
     if at_limit:
         remarks += (
@@ -229,7 +229,8 @@ def _seconds(records: Sequence[TraceRecord]) -> float:
     return sum(_length(r) for r in records)
 
 
-def _imported(experiment: Experiment, model: ModelConfig) -> TraceRecord:
+def imported_trace_record(experiment: Experiment, model: ModelConfig) -> TraceRecord:
+    """Return the record of an imported experiment, without a beam."""
     p = experiment.u.shape[1]
     places = imported_places(model)
     N = len(experiment.y)

@@ -13,6 +13,7 @@ from ..declared_model import ModelError
 from .base import Effect, Placed, Places, Quantity, located
 from .candidate_effects import all_effects
 from .freeform import freeform_effect
+from .magnetic_force import magnetic_force_effect
 from .operating_range import Extent
 from .vibration import tone
 
@@ -68,9 +69,12 @@ def placed_effects(
         found = _TONE.fullmatch(entry.effect)
         if found is not None:
             table |= {e.identity: e for e in tone(places, float(found[1]))}
-        freeform = freeform_effect(places, entry.effect, at)
-        if freeform is not None:
-            table[freeform.identity] = freeform
+        for keyed in (
+            freeform_effect(places, entry.effect, at),
+            magnetic_force_effect(places, covered, entry.effect, at),
+        ):
+            if keyed is not None:
+                table[keyed.identity] = keyed
     placed: list[Placed] = []
     for i, (entry, at) in enumerate(zip(declared, locations, strict=True)):
         where = f"effects[{i}]"

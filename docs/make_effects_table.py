@@ -26,20 +26,24 @@ from levid.model.geometry import shape_matrix
 
 Row = tuple[str, str, str]
 """Key without its numbers, equation, what absorbs it."""
+ACTUATOR = "each actuator"
+"""Location of an actuator of a plant that is not the rig."""
 PAGE = Path(__file__).with_name("effects-table.md")
 HEAD = """# The table of candidate effects
 
 The effects that `levid trace` tries: what a plant may do and its declared model may lack.
 `docs/make_effects_table.py` generates this page from `model/effects/`.
 
-- **Equations.** `force` at a DOF is added to the generalised force on it. `force` at a coil is the
-  coil's actual force; F is its command. `reading` is a sensor's reading; h is the platform's height
-  at that sensor. `drive force` is added to the force of the beam's drives. Heights and pose are
-  zero at the working point.
+- **Equations.** `force` at a DOF is added to the generalised force on it. `force` at a coil or
+  actuator is its actual force; F is its command. `reading` is a sensor's reading; h is the
+  platform's height at that sensor. `drive force` is added to the force of the beam's drives.
+  Heights and pose are zero at the working point.
 - **Absorbed by** names the parameters or constants of the declared model that can imitate the
   effect, or the named part of it. No data can reveal what they imitate.
 - **Told apart by** names the excitation that separates an effect from similar ones. Effects that
   fit a session about equally well are reported together.
+- **At** is `q` and *each actuator* for any plant that is not the rig: `q` is each DOF, and an
+  actuator has the name of its input. Units there are those of a DOF in m and a command in N.
 - **Non-rigid part** of the readings: the part that no motion of a rigid platform can produce.
 """
 
@@ -55,7 +59,10 @@ def page() -> str:
     for effect in all_effects(rig_places()):
         rows = families.setdefault(_module(effect).__name__, {})
         rows.setdefault(_row_of(effect), []).append(effect)
-    for effect in all_effects(one_dof()):
+    others = all_effects(one_dof("m", "N"))
+    known_keys = {e.key for e in others}
+    others += tuple(e for e in all_effects(one_dof("rad", "N m")) if e.key not in known_keys)
+    for effect in others:
         rows = families.setdefault(_module(effect).__name__, {})
         # What the rig knows too is told as it is there.
         known = next((row for row in rows if row[0] == _row_of(effect)[0]), _row_of(effect))
@@ -84,10 +91,13 @@ def rig_places() -> Places:
     )
 
 
-def one_dof() -> Places:
+def one_dof(unit: str, force: str) -> Places:
     """Return a plant of which nothing is known but one input and one output."""
     one, nowhere = np.eye(1), np.zeros((0, 2))
-    return Places(("q",), ("m",), one, one, "N", ("N",), "m", nowhere, nowhere, beam=False)
+    return Places(
+        ("q",), (unit,), one, one, force, (force,), unit, nowhere, nowhere, beam=False,
+        input_names=(ACTUATOR,),
+    )  # fmt: skip
 
 
 def _row_of(effect: Effect) -> Row:
@@ -127,7 +137,9 @@ def _module(effect: Effect) -> ModuleType:
 
 
 def _general(key: str) -> str:
-    """Return a key without the frequency of a line or the pattern of a mode in it."""
+    """Return a key without the numbers or the pattern of a mode in it."""
+    if key.endswith("]"):
+        return f"{key.partition('[')[0]}[q_m,F_m]"
     head, _, tail = key.rpartition(".")
     if tail in PATTERNS:
         return f"{head}.PATTERN"

@@ -247,22 +247,20 @@ def _parts(point: WorkingPoint, left: Missing, placed: Placed) -> Iterator[_Part
     """Yield the parts of an effect: by coil, DOF, sensors and drives."""
     here = left.here
     own, places, s = share(point, here, placed), here.record.places, here.signals
-    coils, sensors = (
-        [int(w.partition(":")[2]) for w in placed.effect.where if w.startswith(f"{kind}:")]
-        for kind in ("coil", "sensor")
-    )
-    if own.force is not None and len(coils) == 1:
+    where = placed.effect.where
+    coils = [places.actuators.index(w) for w in where if w in places.actuators]
+    sensors = [int(w.partition(":")[2]) for w in where if w.startswith("sensor:")]
+    if own.force is not None and len(coils) == len(where) == 1:
         # The force of one coil acts on all DOF in the ratio of its arms.
         arm = places.coil_shape[coils[0]]
+        name = f"coil {coils[0]}" if places.beam else where[0]
         weight = arm / float(arm @ arm)
         driven = (
-            PlottedSignal(
-                f"command of coil {coils[0]}", places.coil_unit, s.acting(s.coil)[:, coils[0]]
-            ),
-            PlottedSignal(f"height at coil {coils[0]}", places.sensor_unit, s.q @ arm),
+            PlottedSignal(f"command of {name}", places.coil_unit, s.acting(s.coil)[:, coils[0]]),
+            PlottedSignal(f"height at {name}", places.sensor_unit, s.q @ arm),
         )
         yield _part(
-            f"force of coil {coils[0]}", places.coil_unit, own.force @ weight,
+            f"force of {name}", places.coil_unit, own.force @ weight,
             left.force @ weight, here, driven,
         )  # fmt: skip
     elif own.force is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.model import EffectParameter, ModelConfig, ModelEffect
-from ...model.effects.base import Effect, Placed, Places
+from ...model.effects.base import Effect, Placed, Places, located
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
 from .residual.free_run_error import (
@@ -152,6 +152,8 @@ class Outcome:
     shaken: tuple[RandomForce, ...] = ()
     followed: tuple[str, ...] = ()
     noise_measured: bool = True
+    actuators: frozenset[str] = frozenset()
+    """Names of actuators that are located by their input's name instead of coil:N."""
 
     @property
     def overrated(self) -> bool:
@@ -188,7 +190,7 @@ class Outcome:
         return tuple(
             f.effect.name
             for f in self.effects
-            if f.unknown and _acts_at(found.effect.where, f.effect.where[0])
+            if f.unknown and _acts_at(found.effect.where, f.effect.where[0], self.actuators)
         )
 
     @property
@@ -235,10 +237,10 @@ class Outcome:
         )
 
 
-def _acts_at(where: Sequence[str], place: str) -> bool:
+def _acts_at(where: Sequence[str], place: str, actuators: frozenset[str]) -> bool:
     """Return whether an effect at `where` acts at a place; many equal coils act at every DOF."""
-    if len(where) > _MANY and where[0].startswith("coil:"):
-        return ":" not in place or place in where
+    if len(where) > _MANY and all(w.startswith("coil:") or w in actuators for w in where):
+        return (":" not in place and place not in actuators) or place in where
     return place in where
 
 
@@ -272,6 +274,7 @@ def outcome(trace: Trace) -> Outcome:
         ),
         tuple(n for key, n in taken.items() if key not in placed and key in idle),
         trace.found.point.disturbance.measured,
+        frozenset(w for w in trace.places.actuators if ":" not in w),
     )
 
 
@@ -468,7 +471,7 @@ def _effect(found: FoundEffect, places: Places, part_of: Sequence[str]) -> dict[
     effect, why = found.effect, found.evidence
     evidence: dict[str, Any] = {"equation": effect.equation}
     if found.unknown:
-        evidence["signals"] = list(depends_on(effect))
+        evidence["signals"] = [located(word, places) for word in depends_on(effect)]
     if why is not None:
         evidence |= {
             "statistic_sd": why.statistic,

@@ -17,6 +17,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_COIL = "coil:"
+_CARRIERS = ("beam", "rotor")
+"""Locations that are neither DOF, actuators nor sensors."""
+_OTHER_WORDS = (("a coil", "an actuator"), ("coil", "actuator"), ("the height", "the position"))
+"""Words for the rig, and those for plants with any actuators."""
+
 
 @dataclass(frozen=True)
 class Loads:
@@ -54,6 +60,8 @@ class Places:
     """First and last time of all records; effects with an onset are searched in between."""
     loads: Loads | None = None
     """Actuator commands over the session, if known."""
+    input_names: tuple[str, ...] = ()
+    """Names of the actuators (C,), with which a plant that is not the rig names their location."""
 
     @property
     def coils(self) -> int:
@@ -69,6 +77,30 @@ class Places:
     def decoupling(self) -> Array:
         """Return T (n, S), the least-squares inverse of the sensors' shape."""
         return np.asarray(np.linalg.pinv(self.sensor_shape))
+
+    def actuator(self, index: int) -> str:
+        """Return the location of an actuator: its input's name, or coil:N.
+
+        It is coil:N on the rig, without a name, and if the name is that of another location.
+        """
+        if self.beam or index >= len(self.input_names):
+            return f"{_COIL}{index}"
+        name = self.input_names[index]
+        taken = name in (*self.dof, *_CARRIERS) or self.input_names.count(name) > 1
+        return f"{_COIL}{index}" if taken else name
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Locations of the actuators (C,), as effects name them."""
+        return tuple(self.actuator(c) for c in range(self.coils))
+
+    def worded(self, text: str) -> str:
+        """Return a text about the rig's coils and their heights in the words for this plant."""
+        if self.beam:
+            return text
+        for word, other in _OTHER_WORDS:
+            text = text.replace(word, other)
+        return text
 
     def force_unit(self, index: int) -> str:
         """Unit of the generalised force that belongs to a DOF."""
@@ -240,6 +272,13 @@ def _in_row(numbered: tuple[int, str]) -> tuple[str, int | str]:
     at, name = numbered
     kind, _, number = name.partition(":")
     return (kind, int(number) - at) if number.isdecimal() else (kind, name)
+
+
+def located(where: str, places: Places) -> str:
+    """Return a location as this plant names it; older files have coil:N for any actuator."""
+    number = where.removeprefix(_COIL)
+    index = int(number) if where != number and number.isdecimal() else places.coils
+    return places.actuator(index) if index < places.coils else where
 
 
 def total(terms: Sequence[Term]) -> Term:

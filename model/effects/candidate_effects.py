@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from . import (
+    actuator_nonlinearity,
+    backlash,
     base_magnets_attracting_beam,
     beam,
     beam_bearing_presliding,
@@ -14,7 +16,10 @@ from . import (
     damping,
     flexible,
     friction,
+    gravity,
+    magnetic_force,
     mass,
+    motor_cogging,
     rotor,
     sensor_dynamic,
     sensor_static,
@@ -49,6 +54,11 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *coil_drift.effects(places),
         *sensor_static.effects(places, covered),
         *sensor_dynamic.effects(places, covered),
+        *gravity.effects(places),
+        *backlash.effects(places, covered),
+        *motor_cogging.effects(places, covered),
+        *magnetic_force.effects(places, covered),
+        *actuator_nonlinearity.effects(places, covered),
     ]
     found = resolved(found, covered.fastest_hz)
     for f_hz in covered.tones_hz:

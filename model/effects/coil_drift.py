@@ -31,13 +31,13 @@ def effects(places: Places) -> list[Effect]:
     unit = places.coil_unit
     every = tuple(range(places.coils))
     for coils in [*((c,) for c in every), *([every] if len(every) > 1 else [])]:
-        where = tuple(f"coil:{c}" for c in coils)
+        where = tuple(places.actuator(c) for c in coils)
         suffix = ", same for all coils" if len(coils) > 1 else ""
         if not suffix:
             found.append(
                 Effect(
                     "force_offset.drift",
-                    "Offset of a coil that drifts",
+                    places.worded("Offset of a coil that drifts"),
                     "force_offset",
                     where,
                     "force = F + rate t, t from the session's begin",
@@ -50,7 +50,7 @@ def effects(places: Places) -> list[Effect]:
         found += [
             Effect(
                 "thermal_drift.time",
-                f"Gain that drifts with time{suffix}",
+                places.worded(f"Gain that drifts with time{suffix}"),
                 "thermal_drift",
                 where,
                 "force = (1 - rate t) F, t from the session's begin",
@@ -60,7 +60,7 @@ def effects(places: Places) -> list[Effect]:
             ),
             Effect(
                 "thermal_drift.heat",
-                f"Gain that falls with the coil's heat{suffix}",
+                places.worded(f"Gain that falls with the coil's heat{suffix}"),
                 "thermal_drift",
                 where,
                 "force = (1 - a heat) F, heat' = (F^2 - heat) / tau; heat = 0 and F as in the "
@@ -72,7 +72,7 @@ def effects(places: Places) -> list[Effect]:
                     Quantity("before", "s", 0.1, _LONGEST_BEFORE_S, log=True),
                 ),
                 ((_WARM_S, _BEFORE_S),),
-                absorbed_by="in thermal equilibrium: the coil's gain",
+                absorbed_by=places.worded("in thermal equilibrium: the coil's gain"),
                 told_apart_by=_LONG,
             ),
         ]

@@ -24,45 +24,47 @@ _ALL = "same gain for all coils: mass, damping and stiffness by the same factor"
 def effects(places: Places) -> list[Effect]:
     """Return gain and height-dependent force constant of every coil, the latter also for all."""
     found = []
-    per = places.sensor_unit
     for c in range(places.coils):
-        where = (f"coil:{c}",)
+        where = (places.actuator(c),)
         found.append(
             Effect(
                 "coil_gain",
-                "Gain of a coil",
+                places.worded("Gain of a coil"),
                 "coil_gain",
                 where,
                 "force = (1 + gain) F",
                 (Quantity("gain", "1", -_MOST_GAIN, _MOST_GAIN),),
                 partial(_times_height, coils=(c,), power=0),
-                absorbed_by=_ALL,
-                told_apart_by=_ONE_BY_ONE,
+                absorbed_by=places.worded(_ALL),
+                told_apart_by=places.worded(_ONE_BY_ONE),
             )
         )
         if _has_height(places):
-            found += [_constant(where, (c,), power, per) for power in (1, 2)]
+            found += [_constant(places, (c,), power) for power in (1, 2)]
     if _has_height(places) and places.coils > 1:
-        found += [_constant((), tuple(range(places.coils)), power, per) for power in (1, 2)]
+        found += [_constant(places, tuple(range(places.coils)), power) for power in (1, 2)]
     return found
 
 
-def _constant(where: tuple[str, ...], coils: tuple[int, ...], power: int, unit: str) -> Effect:
+def _constant(places: Places, coils: tuple[int, ...], power: int) -> Effect:
     name, title = {
         1: ("linear", "Force constant that changes with the height"),
         2: ("quadratic", "Force constant that changes with the height squared"),
     }[power]
-    of_all = not where
+    unit = places.sensor_unit
+    suffix = ", same for all coils" if len(coils) > 1 else ""
     return Effect(
         f"force_constant.{name}",
-        f"{title}, same for all coils" if of_all else title,
+        places.worded(f"{title}{suffix}"),
         "force_constant",
-        where or tuple(f"coil:{c}" for c in coils),
+        tuple(places.actuator(c) for c in coils),
         "force = (1 + a h) F" if power == 1 else "force = (1 + b h^2) F",
         (Quantity("ab"[power - 1], f"1/{unit}" if power == 1 else f"1/{unit}^2"),),
         partial(_times_height, coils=coils, power=power),
         absorbed_by="static force times height: stiffness" if power == 1 else "",
-        told_apart_by="excitation of all DOFs and of single coils, at two amplitudes",
+        told_apart_by=places.worded(
+            "excitation of all DOFs and of single coils, at two amplitudes"
+        ),
     )
 
 

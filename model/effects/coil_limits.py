@@ -35,11 +35,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     single = [((c,), "") for c in range(places.coils)]
     together = [(tuple(range(places.coils)), ", same for all coils")] if places.coils > 1 else []
     for coils, suffix in single + together:
-        where = tuple(f"coil:{c}" for c in coils)
+        where = tuple(places.actuator(c) for c in coils)
         found += [
             Effect(
                 "dead_zone",
-                f"Dead zone of a coil{suffix}",
+                places.worded(f"Dead zone of a coil{suffix}"),
                 "dead_zone",
                 where,
                 "force = F - depth clip(F, -width, width)",
@@ -48,12 +48,12 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 (Quantity("width", unit, 1e-3 * largest, largest, log=True),),
                 ((0.15 * largest,), (0.4 * largest,)),
                 absorbed_by="if no command comes near zero: constant force",
-                told_apart_by=_TOLD_APART,
+                told_apart_by=places.worded(_TOLD_APART),
                 shape_of_unit_amplitude=_whole_dead_zone,
             ),
             Effect(
                 "saturation",
-                f"Saturation of a coil{suffix}",
+                places.worded(f"Saturation of a coil{suffix}"),
                 "saturation",
                 where,
                 "force = F - depth (F - F / (1 + |F/limit|^p)^(1/p)), p = hardness",
@@ -65,7 +65,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ),
                 ((0.85 * largest, 6.0),),
                 absorbed_by="not visible far below the limit",
-                told_apart_by=_TOLD_APART,
+                told_apart_by=places.worded(_TOLD_APART),
                 shape_of_unit_amplitude=_whole_saturation,
             ),
         ]

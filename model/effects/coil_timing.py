@@ -21,6 +21,8 @@ from .lag_and_hysteresis_recursions import lagged_mean
 from .operating_range import Extent
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"
+_LAGS = "same for all coils: the declared lag; shorter than a period: delay"
+_DELAYS = "same for all coils: the declared delay; shorter than a period: lag"
 _LATE_S = 2e-3
 
 
@@ -28,11 +30,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return lag and delay of every coil."""
     found = []
     for c in range(places.coils):
-        where = (f"coil:{c}",)
+        where = (places.actuator(c),)
         found += [
             Effect(
                 "actuator_lag",
-                "Additional lag of a coil",
+                places.worded("Additional lag of a coil"),
                 "actuator_lag",
                 where,
                 "force = F + (F lagged by tail - F) lag / tail",
@@ -40,12 +42,12 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 partial(_lag, coil=c),
                 (Quantity("tail", "s", 1e-4, 0.1, log=True),),
                 ((_LATE_S,),),
-                absorbed_by="same for all coils: the declared lag; shorter than a period: delay",
-                told_apart_by=_ONE_BY_ONE,
+                absorbed_by=places.worded(_LAGS),
+                told_apart_by=places.worded(_ONE_BY_ONE),
             ),
             Effect(
                 "delay",
-                "Additional delay of a coil",
+                places.worded("Additional delay of a coil"),
                 "delay",
                 where,
                 "force = F + (F(t - back) - F) delay / back, by means over each period",
@@ -53,8 +55,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 partial(_delay, coil=c),
                 (Quantity("back", "s", 1e-4, 0.1, log=True),),
                 ((_LATE_S,),),
-                absorbed_by="same for all coils: the declared delay; shorter than a period: lag",
-                told_apart_by=_ONE_BY_ONE,
+                absorbed_by=places.worded(_DELAYS),
+                told_apart_by=places.worded(_ONE_BY_ONE),
             ),
         ]
     return found

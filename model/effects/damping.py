@@ -104,6 +104,7 @@ def _of_plates(places: Places) -> list[Effect]:
 
 
 def _with_positions(places: Places) -> list[Effect]:
+    """Return damping that depends on the position or on the direction."""
     return [
         Effect(
             f"damping.{name}",
@@ -121,6 +122,19 @@ def _with_positions(places: Places) -> list[Effect]:
             (1, "one_sided", "Damping linear in the position", "force = -d q q'"),
             (2, "outward", "Damping quadratic in the position", "force = -d q^2 q'"),
         )
+    ] + [
+        Effect(
+            "damping.asymmetric",
+            "Viscous friction that depends on the direction",
+            "damping",
+            (dof,),
+            "force = -asymmetry |q'|",
+            (Quantity("asymmetry", f"{places.force_unit(i)} s/{unit}"),),
+            partial(_asymmetric, dof=i),
+            absorbed_by="the mean: the constant force",
+            told_apart_by="two amplitudes of excitation",
+        )
+        for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
     ]
 
 
@@ -138,6 +152,10 @@ def _with_position(
 ) -> list[Term]:
     q, qd = signals.q[:, dof], signals.qd[:, dof]
     return [on_dof(signals, dof, -q * qd if power == 1 else -q * q * qd)]
+
+
+def _asymmetric(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [on_dof(signals, dof, -np.abs(signals.qd[:, dof]))]
 
 
 def _drag(signals: Signals, _shape: Sequence[float]) -> list[Term]:

@@ -10,9 +10,10 @@ from dataclasses import replace
 from typing import Protocol
 
 from ..declared_model import ModelError
-from .base import Effect, Placed, Places, Quantity
+from .base import Effect, Placed, Places, Quantity, located
 from .candidate_effects import all_effects
 from .freeform import freeform_effect
+from .magnetic_force import magnetic_force_effect
 from .operating_range import Extent
 from .vibration import tone
 
@@ -63,25 +64,31 @@ def placed_effects(
         stuck=tuple(range(places.sensors)),
     )
     table = {e.identity: e for e in all_effects(places, covered)}
-    for entry in declared:
+    locations = [tuple(located(w, places) for w in entry.where) for entry in declared]
+    for entry, at in zip(declared, locations, strict=True):
         found = _TONE.fullmatch(entry.effect)
         if found is not None:
             table |= {e.identity: e for e in tone(places, float(found[1]))}
-        freeform = freeform_effect(places, entry.effect, entry.where)
-        if freeform is not None:
-            table[freeform.identity] = freeform
+        for keyed in (
+            freeform_effect(places, entry.effect, at),
+            magnetic_force_effect(places, covered, entry.effect, at),
+        ):
+            if keyed is not None:
+                table[keyed.identity] = keyed
     placed: list[Placed] = []
-    for i, entry in enumerate(declared):
+    for i, (entry, at) in enumerate(zip(declared, locations, strict=True)):
         where = f"effects[{i}]"
-        new = _placed(entry, table, where)
+        new = _placed(entry, at, table, where)
         if any(new.effect.identity == other.effect.identity for other in placed):
             raise ModelError(f"{where}: duplicate effect {new.effect.name}; remove one of them")
         placed.append(new)
     return tuple(placed)
 
 
-def _placed(entry: DeclaredEffect, table: Mapping[str, Effect], where: str) -> Placed:
-    effect = table.get(f"{entry.effect}@{'+'.join(entry.where)}")
+def _placed(
+    entry: DeclaredEffect, at: Sequence[str], table: Mapping[str, Effect], where: str
+) -> Placed:
+    effect = table.get(f"{entry.effect}@{'+'.join(at)}")
     if effect is None:
         raise ModelError(f"{where}: {_unknown(entry, table)}")
     quantities = {q.name: q for q in (*effect.amplitudes, *effect.shape)}

@@ -180,7 +180,7 @@ def freeform_effects(places: Places, extent: Extent) -> list[Effect]:
         forms = [_curve(extent, c)]
         others = [by for by in commands if by != own] + (["x_b"] if places.beam else [])
         forms += [_form(places, extent, by, own) for by in others]
-        found += [_effect(places, f"coil:{c}", form) for form in forms]
+        found += [_effect(places, places.actuator(c), form) for form in forms]
     found += [
         *hysteresis_effects(places, extent),
         *leaky_integral_effects(places, extent),
@@ -202,15 +202,12 @@ def freeform_effect(places: Places, key: str, where: Sequence[str]) -> Effect | 
             or thermal_reading_effect(places, key, where)
         )
     known = _signals(places)
-    sensors, coils = (
-        [f"{what}:{k}" for k in range(count)]
-        for what, count in (("sensor", places.sensors), ("coil", places.coils))
-    )
+    sensors, coils = [f"sensor:{s}" for s in range(places.sensors)], places.actuators
     if len(where) != 1 or where[0] not in (*places.dof, *sensors, *coils):
         return None
     if where[0] not in places.dof:
         known += [f"{_COIL}{c}" for c in range(places.coils)]
-    if where[0] in coils and form.factor not in ("", where[0].replace(":", "_")):
+    if where[0] in coils and form.factor not in ("", f"{_COIL}{coils.index(where[0])}"):
         return None
     if form.by not in known or (form.factor and form.factor not in known):
         return None
@@ -290,20 +287,20 @@ def _effect(places: Places, where: str, form: Form) -> Effect:
         dof = places.dof.index(where)
         what, unit = "Force", places.force_unit(dof)
         build = partial(_forces, form=form, dof=dof)
-    elif where.startswith("coil:"):
-        what, unit = "Force of a coil", places.coil_unit
-        build = partial(_commands, form=form, coil=int(where.partition(":")[2]))
+    elif where in places.actuators:
+        what, unit = places.worded("Force of a coil"), places.coil_unit
+        build = partial(_commands, form=form, coil=places.actuators.index(where))
     else:
         sensor = int(where.partition(":")[2])
         what, unit = "Reading", places.sensor_unit
         build = partial(_readings, form=form, sensor=sensor)
-    by = "the rotor's angle" if form.by == _ANGLE else _in_words(form.by)
+    by = "the rotor's angle" if form.by == _ANGLE else _in_words(places, form.by)
     title = f"{what} that depends on {by}"
     if form.factor:
-        title = f"{what} that depends on {_in_words(form.factor)} times a function of {by}"
+        title = f"{what} that depends on {_in_words(places, form.factor)} times a function of {by}"
     names = form.amplitudes(constant=where.startswith("sensor:"))
     amplitudes = tuple(Quantity(name, unit) for name in names)
-    on = [_in_words(word) for word in (form.factor, form.by) if word]
+    on = [_in_words(places, word) for word in (form.factor, form.by) if word]
     return Effect(
         form.key, title, "unknown", (where,), form.words, amplitudes, build,
         told_apart_by=f"records in which only {' and '.join(on)} change",
@@ -319,8 +316,10 @@ def _commands(signals: Signals, _shape: Sequence[float], *, form: Form, coil: in
     return [on_coil(signals, coil, column) for column in columns]
 
 
-def _in_words(word: str) -> str:
-    return f"the command of {_spoken(word)}" if word.startswith(_COIL) else word
+def _in_words(places: Places, word: str) -> str:
+    if not word.startswith(_COIL):
+        return word
+    return f"the command of {places.actuator(int(word.removeprefix(_COIL)))}"
 
 
 def _readings(signals: Signals, _shape: Sequence[float], *, form: Form, sensor: int) -> list[Term]:

@@ -31,7 +31,7 @@ def hysteresis_effects(places: Places, extent: Extent) -> list[Effect]:
 def hysteresis_effect(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the hysteresis effect with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
-    coils = [f"coil:{c}" for c in range(places.coils)]
+    coils = places.actuators
     if found is None or len(where) != 1 or where[0] not in coils:
         return None
     try:
@@ -55,14 +55,16 @@ def _hysteresis(places: Places, coil: int, scale: float) -> Effect:
     widths = ", ".join(f"{scale * w:.3g}" for w in _WIDTHS)
     return Effect(
         f"unknown.hysteresis.command[{scale:g}]",
-        "Force of a coil that depends on its command with hysteresis",
+        places.worded("Force of a coil that depends on its command with hysteresis"),
         "unknown",
-        (f"coil:{coil}",),
+        (places.actuator(coil),),
         f"sum of c_k s_k, s_k' = F'/r_k within -1 .. 1, r_k = {widths} {places.coil_unit}",
         tuple(Quantity(f"c{k}", places.coil_unit) for k in range(1, len(_WIDTHS) + 1)),
         partial(_forces, coil=coil, scale=scale),
         initial_force_decay=partial(_remains, coil=coil, scale=scale),
-        told_apart_by="excitation of this coil alone, with large slow and small minor loops",
+        told_apart_by=places.worded(
+            "excitation of this coil alone, with large slow and small minor loops"
+        ),
     )
 
 

@@ -83,7 +83,9 @@ def _scale(extent: Extent, by: str) -> float:
 
 def _build_effect(places: Places, where: str, by: str, middle: float, scale: float) -> Effect:
     coiled = by.startswith(_COIL)
-    word = by.replace("_", ":") if coiled else _SPOKEN.get(by, by)
+    word = _SPOKEN.get(by, by)
+    if coiled:
+        word = places.actuator(int(by.removeprefix(_COIL)))
     if where in places.dof:
         dof = places.dof.index(where)
         what, unit = "Force", places.force_unit(dof)

@@ -49,7 +49,7 @@ def thermal_reading_signals(effect: Effect) -> tuple[str, ...]:
 def _warming(places: Places, sensor: int, coil: int) -> Effect:
     return Effect(
         f"unknown.warming.coil_{coil}",
-        f"Reading that slowly follows the losses of coil:{coil}",
+        f"Reading that slowly follows the losses of {places.actuator(coil)}",
         "unknown",
         (f"sensor:{sensor}",),
         "c0 + c1 heat, heat' = (F^2 - heat) / tau; heat = 0 and F as in the first row from "
@@ -64,8 +64,8 @@ def _warming(places: Places, sensor: int, coil: int) -> Effect:
             Quantity("before", "s", 0.1, _LONGEST_BEFORE_S, log=True),
         ),
         tuple((tau, _BEFORE_S) for tau in _TIMES_S),
-        told_apart_by=f"long records in which coil:{coil} has first more, then less force than at "
-        "rest",
+        told_apart_by=f"long records in which {places.actuator(coil)} has first more, then less "
+        "force than at rest",
     )
 
 

@@ -8,7 +8,10 @@ Al-Bender, Lampaert, Swevers, *The generalized Maxwell-slip model*, IEEE TAC 50,
 Maxwell elements leave at most about a fifth of what a stiffness and a damping leave of the other
 friction models' hysteresis loops. Signature: the height of the hysteresis loop does not depend on
 the speed, and its width follows the amplitude of the motion, so the equivalent damping falls with
-the amplitude. The hysteresis loop of a lag, in contrast, grows with the speed.
+the amplitude. The hysteresis loop of a lag, in contrast, grows with the speed. Sliding friction of
+two levels, one for each direction, is symmetric friction and a force that is constant while the DOF
+moves (Armstrong-Helouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and
+compensation methods for the control of machines with friction*, Automatica 30, 1994).
 """
 
 from __future__ import annotations
@@ -64,6 +67,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 absorbed_by="at small amplitudes, damping",
                 told_apart_by="slow and fast motions of the same amplitude",
             ),
+            *([] if places.beam else _asymmetric(i, dof, force, speed, v_s)),
             Effect(
                 "friction.dahl",
                 "Dahl friction (elastic before slip)",
@@ -130,6 +134,41 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
+def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> list[Effect]:
+    """Return sliding friction with one level for each direction."""
+    levels = (Quantity("friction", force, 0.0), Quantity("asymmetry", force))
+    absorbed = "asymmetry: the constant force while the DOF moves; at small amplitudes, damping"
+    apart = "two amplitudes of excitation, with rests"
+    return [
+        Effect(
+            "friction.coulomb_asymmetric",
+            "Coulomb friction that depends on the direction",
+            "friction",
+            (dof,),
+            "force = -(friction + asymmetry s) s, s = tanh(q'/v_s)",
+            levels,
+            partial(_coulomb_asymmetric, dof=i),
+            (v_s,),
+            ((0.02 * speed,), (0.15 * speed,)),
+            absorbed_by=absorbed,
+            told_apart_by=apart,
+        ),
+        Effect(
+            "friction.stribeck_asymmetric",
+            "Friction with a Stribeck peak that depends on the direction",
+            "friction",
+            (dof,),
+            "force = -(friction + peak exp(-(q'/v_s)^2) + asymmetry s) s, s = tanh(q'/(turn v_s))",
+            (levels[0], Quantity("peak", force, 0.0), levels[1]),
+            partial(_stribeck_asymmetric, dof=i),
+            (v_s, Quantity("turn", "1", 0.02, 1.0, log=True)),
+            ((0.1 * speed, 0.2), (0.6 * speed, 0.2)),
+            absorbed_by=absorbed,
+            told_apart_by=apart + ", slow and fast",
+        ),
+    ]
+
+
 def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     return [on_dof(signals, dof, -np.tanh(signals.qd[:, dof] / shape[0]))]
 
@@ -138,6 +177,17 @@ def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Ter
     ratio = signals.qd[:, dof] / shape[0]
     sliding = -np.tanh(ratio / shape[1])
     return [on_dof(signals, dof, v) for v in (sliding, sliding * np.exp(-(ratio**2)))]
+
+
+def _coulomb_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    s = np.tanh(signals.qd[:, dof] / shape[0])
+    return [on_dof(signals, dof, v) for v in (-s, -s * s)]
+
+
+def _stribeck_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    ratio = signals.qd[:, dof] / shape[0]
+    s = np.tanh(ratio / shape[1])
+    return [on_dof(signals, dof, v) for v in (-s, -s * np.exp(-(ratio**2)), -s * s)]
 
 
 def _dahl(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

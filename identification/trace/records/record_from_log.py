@@ -188,6 +188,7 @@ def imported_places(model: ModelConfig) -> Places:
         np.zeros((0, 2)),
         np.zeros((0, 2)),
         beam=False,
+        input_names=tuple(q.name for q in model.inputs),
     )
 
 

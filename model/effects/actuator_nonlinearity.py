@@ -1,0 +1,120 @@
+"""Static nonlinearity of an actuator: squared, cubic, falling with the speed, quantised.
+
+A valve, a propeller or a fan gives a force proportional to the square of its command, with its sign
+(Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2011, ch. 9); an actuator of
+one direction has a square without a sign. The force of a motor at its voltage limit and of a pump
+falls with the speed, in proportion to the command. A back-EMF alone gives a force proportional to
+the speed; the declared damping contains it. A converter with few bits rounds the command. All of
+these act on the command before delay, hold and lag. Signature: a force error that depends on the
+command of one actuator, equally at all frequencies, with harmonics at large amplitudes; even
+harmonics for the square without sign, odd ones for the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
+from .operating_range import Extent
+from .point_force_conversion import heights
+
+_LEVELS = tuple(0.5 * k for k in range(2, 25))
+"""Start values of the largest command over the step: half a step apart at the largest command."""
+_MOST_LEVELS = 60.0
+_TWO_AMPLITUDES = "excitation of one actuator at a time, at two amplitudes"
+_LINEAR = "the part linear around the mean command: gain; the mean: constant force"
+
+
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return the nonlinearities of every actuator; empty for the rig."""
+    if places.beam:
+        return []
+    found = []
+    unit, largest = places.coil_unit, extent.command
+    for c in range(places.coils):
+        where = (places.actuator(c),)
+        for name, title, equation, power in (
+            ("squared", "Actuator with a squared characteristic", "force = F + a F |F|", 2),
+            ("quadratic", "Quadratic nonlinearity of an actuator", "force = F + a F^2", 2),
+            ("cubic", "Cubic nonlinearity of an actuator", "force = F + a F^3", 3),
+        ):
+            per = f"1/{_single(unit)}" if power == 2 else f"1/{_single(unit)}^2"
+            found.append(
+                Effect(
+                    f"actuator.{name}",
+                    title,
+                    "actuator_nonlinearity",
+                    where,
+                    equation,
+                    (Quantity("a", per),),
+                    partial(_power, coil=c, power=power, signed=name == "squared"),
+                    absorbed_by=_LINEAR,
+                    told_apart_by=_TWO_AMPLITUDES,
+                )
+            )
+        if places.coil_shape.shape[1] == len(places.dof):
+            found.append(
+                Effect(
+                    "actuator.times_speed",
+                    "Force of an actuator that falls with the speed",
+                    "actuator_nonlinearity",
+                    where,
+                    "force = F + a F q', q' the speed at the actuator as the command acts",
+                    (Quantity("a", f"s/{places.sensor_unit}"),),
+                    partial(_times_speed, coil=c),
+                    absorbed_by="mean command times speed: the declared damping",
+                    told_apart_by="excitation around several constant commands",
+                )
+            )
+        found.append(
+            Effect(
+                "actuator.quantised",
+                "Quantised command",
+                "actuator_nonlinearity",
+                where,
+                "force = F + depth (round(F / step) step - F)",
+                (Quantity("depth", "1", 0.0, 1.0),),
+                partial(_quantised, coil=c),
+                (Quantity("step", unit, largest / _MOST_LEVELS, 4 * largest, log=True),),
+                tuple((largest / levels,) for levels in _LEVELS),
+                absorbed_by="step far below the command's changes: force noise",
+                told_apart_by="small slow excitation",
+                shape_of_unit_amplitude=_whole_step,
+            )
+        )
+    return found
+
+
+def _power(
+    signals: Signals, _shape: Sequence[float], *, coil: int, power: int, signed: bool
+) -> list[Term]:
+    F = signals.coil[:, coil]
+    values = F * F * F if power == 3 else F * (np.abs(F) if signed else F)
+    return [on_coil(signals, coil, values)]
+
+
+def _times_speed(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:
+    speed = speed_when_acting(signals, [coil])[:, 0]
+    return [on_coil(signals, coil, signals.coil[:, coil] * speed)]
+
+
+def _quantised(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
+    F = signals.coil[:, coil]
+    return [on_coil(signals, coil, np.round(F / shape[0]) * shape[0] - F)]
+
+
+def _whole_step(_depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:
+    return tuple(shape)
+
+
+def speed_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
+    """Return the actuators' speeds (N, len(coils)) when each row's command acts, lag included."""
+    ahead = signals.qd + signals.lag_s * signals.qdd
+    return signals.when_acting(heights(ahead, signals.places.coil_shape[list(coils)]))
+
+
+def _single(unit: str) -> str:
+    return unit if unit.isalpha() else f"({unit})"

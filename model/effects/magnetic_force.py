@@ -1,0 +1,179 @@
+"""Magnetic force over current and gap: a magnet under a coil, a reluctance actuator.
+
+A reluctance actuator attracts iron with (current / gap)^2. The force between a coil and a magnet on
+its axis is proportional to the current and, at a distance, falls with the fourth power of the gap
+(Furlani, *Permanent Magnet and Electromechanical Devices*, 2001, ch. 3 and 5). Iron at a distance
+from a coil is attracted with the current squared and a power of the gap above two; the fourth
+stands for these. The equation is the force around a working point, without its constant and linear
+part, because stiffness, gain and constant force of the model contain them. The key ends with the
+working point [q_m,F_m], rounded means of position and command, and tells whether the gap opens or
+closes with q. y0 is the gap and i0 the current at the working point; c is the force there.
+Signature: a force that depends on position and command together: the stiffness changes with the
+command, and the gain with the position. A nonlinear stiffness does not change with the command.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .lag_and_hysteresis_recursions import lagged_mean
+from .operating_range import Extent
+
+_LAWS = {"i2_y2": (2, 2), "i1_y4": (1, 4), "i2_y4": (2, 4)}
+"""Exponents of current and gap of each law."""
+_SIGNS = {"opens": 1.0, "closes": -1.0}
+_KEY = re.compile(
+    r"magnetic_force\.(?P<law>\w+)\.(?P<way>\w+)\[(?P<at>[0-9.e+-]+),(?P<command>[0-9.e+-]+)\]"
+)
+_EXCURSION = 3.0
+"""Largest excursion over the standard deviation, of position and command."""
+_GAPS, _GAP_BOUNDS = (1.5, 4.0, 12.0), (1.2, 30.0)
+_CURRENTS, _CURRENT_BOUNDS = (0.7, 3.0), (0.1, 30.0)
+"""Start values and bounds of y0 and i0, over the largest excursion of position and command."""
+_LEAST_GAP = 0.05
+"""During a fit, simulated poses can exceed the measured range: least gap over y0."""
+
+
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return the magnetic forces of every actuator on every DOF; empty for the rig.
+
+    With as many actuators as DOF, each acts on its own DOF only.
+    """
+    if places.beam:
+        return []
+    n = len(places.dof)
+    pairs = [(i, c) for i in range(n) for c in range(places.coils) if places.coils != n or i == c]
+    return [
+        _force(places, extent, i, c, law, way, (extent.around(i), _mean(extent, c)))
+        for i, c in pairs
+        for law in _LAWS
+        for way in _SIGNS
+    ]
+
+
+def magnetic_force_effect(
+    places: Places, extent: Extent, key: str, where: Sequence[str]
+) -> Effect | None:
+    """Return the magnetic force with a model file's key and location; None for other keys."""
+    found = _KEY.fullmatch(key)
+    if found is None or found["law"] not in _LAWS or found["way"] not in _SIGNS or places.beam:
+        return None
+    if len(where) != 2 or where[0] not in places.dof or where[1] not in places.actuators:
+        return None
+    try:
+        at = float(found["at"]), float(found["command"])
+    except ValueError:
+        return None
+    dof, coil = places.dof.index(where[0]), places.actuators.index(where[1])
+    return _force(places, extent, dof, coil, found["law"], found["way"], at)
+
+
+def _force(
+    places: Places,
+    extent: Extent,
+    dof: int,
+    coil: int,
+    law: str,
+    way: str,
+    at: tuple[float, float],
+) -> Effect:
+    a, b = _LAWS[law]
+    force, unit, largest = places.force_unit(dof), places.dof_units[dof], extent.reach[dof]
+    largest *= _EXCURSION
+    command = _EXCURSION * _spread(extent, coil)
+    least, most = _GAP_BOUNDS
+    y0 = Quantity("y0", unit, least * largest, most * largest, log=True)
+    least, most = _CURRENT_BOUNDS
+    i0 = Quantity("i0", places.coil_unit, least * command, most * command, log=True)
+    amplitudes: tuple[Quantity, ...] = (Quantity("c", force),)
+    ratio = f"g = y0 / (y0 {'+' if way == 'opens' else '-'} y), y = q - q_m, i = F - F_m"
+    if a == 1:
+        equation = f"force = c g^{b} + gain i g^{b}, less its linear part; {ratio}"
+        per = places.coil_unit if places.coil_unit.isalpha() else f"({places.coil_unit})"
+        amplitudes += (Quantity("gain", f"{force}/{per}"),)
+    else:
+        current = "(i0 + i)" if at[1] >= 0.0 else "(i0 - i)"
+        equation = f"force = c ({current} / i0)^2 g^{b}, less its linear part; {ratio}"
+    return Effect(
+        f"magnetic_force.{law}.{way}[{at[0]:g},{at[1]:g}]",
+        f"Magnetic force, current^{a} over gap^{b}, gap {way} with the position",
+        "magnetic_force",
+        (places.dof[dof], places.actuator(coil)),
+        equation,
+        amplitudes,
+        partial(
+            _linear if a == 1 else _squared, dof=dof, coil=coil, sign=_SIGNS[way], at=at, power=b
+        ),
+        (y0,) if a == 1 else (y0, i0),
+        tuple(
+            (gap * largest,) if a == 1 else (gap * largest, current * command)
+            for gap in _GAPS
+            for current in (_CURRENTS if a == 2 else (1.0,))
+        ),
+        absorbed_by="the linear part: stiffness, gain and constant force",
+        told_apart_by="excitation at several positions and mean commands",
+    )
+
+
+def _mean(extent: Extent, coil: int) -> float:
+    """Return the mean command; 0 if it is less than the commands' standard deviation.
+
+    Its sign is the direction of the current, which a small mean does not tell.
+    """
+    if not extent.commands or abs(extent.commands[coil][0]) < extent.commands[coil][1]:
+        return 0.0
+    return extent.commands[coil][0]
+
+
+def _spread(extent: Extent, coil: int) -> float:
+    return extent.commands[coil][1] if extent.commands else extent.command / _EXCURSION
+
+
+def _linear(
+    signals: Signals,
+    shape: Sequence[float],
+    *,
+    dof: int,
+    coil: int,
+    sign: float,
+    at: tuple[float, float],
+    power: int,
+) -> list[Term]:
+    x = sign * (signals.q[:, dof] - at[0]) / shape[0]
+    more = _over_gap(x, power) - 1
+    i = _current(signals, coil) - at[1]
+    return [on_dof(signals, dof, more + power * x), on_dof(signals, dof, i * more)]
+
+
+def _squared(
+    signals: Signals,
+    shape: Sequence[float],
+    *,
+    dof: int,
+    coil: int,
+    sign: float,
+    at: tuple[float, float],
+    power: int,
+) -> list[Term]:
+    x = sign * (signals.q[:, dof] - at[0]) / shape[0]
+    r = (1.0 if at[1] >= 0.0 else -1.0) * (_current(signals, coil) - at[1]) / shape[1]
+    force = (1 + r) ** 2 * _over_gap(x, power) - 1 - 2 * r + power * x
+    return [on_dof(signals, dof, force)]
+
+
+def _over_gap(x: Array, power: int) -> Array:
+    """Return (y0 / gap)^power at deflections x (N,) over y0."""
+    return np.asarray(np.maximum(1 + x, _LEAST_GAP) ** -float(power))
+
+
+def _current(signals: Signals, coil: int) -> Array:
+    """Return a command (N,) after delay and lag, as its means over the periods around each row."""
+    held = signals.coil[:, coil]
+    if signals.lag_s > 0.0:
+        held = lagged_mean(held, signals.lag_s, signals.Ts_s)
+    return signals.acting(held)

@@ -1,0 +1,69 @@
+"""Cogging and torque ripple of a motor on a DOF: a force periodic in the position.
+
+Iron teeth attract the magnets, so the force is periodic in the pole or slot pitch, without any
+current (Zhu and Howe, *Influence of design parameters on cogging torque in permanent magnet
+machines*, IEEE Trans. Energy Conversion 15, 2000). A rotary motor has the same equation over its
+angle. The travel is taken as four standard deviations of the motion. Start values of the pitch are
+half a cycle over the travel apart, from half a cycle to 20 cycles over it. If a DOF in rad or deg
+travels farther than 20 periods of a pitch, such a pitch is searched only among the first 20
+harmonics of a revolution. Signature: depends on the position only, not on speed, direction or
+command.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .operating_range import Extent
+
+_TRAVEL = 4.0
+"""Travel over the standard deviation of a motion."""
+_FEWEST, _MOST, _APART = 0.5, 20.0, 0.5
+"""Cycles over the travel: fewest, most, and between neighbouring start values."""
+_HARMONICS = 20
+_REVOLUTION = {"rad": 2 * math.pi, "deg": 360.0}
+
+
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return cogging of every DOF; empty for the rig."""
+    if places.beam:
+        return []
+    found = []
+    for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+        pitches = _pitches(_TRAVEL * extent.reach[i], _REVOLUTION.get(unit))
+        found.append(
+            Effect(
+                "cogging.position",
+                "Cogging of a motor",
+                "cogging",
+                (dof,),
+                "force = a sin(2 pi q / pitch) + b cos(2 pi q / pitch)",
+                (Quantity("a", places.force_unit(i)), Quantity("b", places.force_unit(i))),
+                partial(_cogging, dof=i),
+                (Quantity("pitch", unit, 0.5 * min(pitches), 2 * max(pitches), log=True),),
+                tuple((pitch,) for pitch in pitches),
+                absorbed_by="pitch longer than the travel: stiffness and constant force",
+                told_apart_by="slow motion over many pitches, in both directions",
+            )
+        )
+    return found
+
+
+def _pitches(travel: float, revolution: float | None) -> list[float]:
+    """Return start values of the pitch, longest first, at most 60."""
+    count = round((_MOST - _FEWEST) / _APART) + 1
+    found = [travel / cycles for cycles in np.linspace(_FEWEST, _MOST, count).tolist()]
+    if revolution is not None:
+        harmonics = (revolution / k for k in range(1, _HARMONICS + 1))
+        found += [pitch for pitch in harmonics if pitch < travel / _MOST]
+    return found
+
+
+def _cogging(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    angle = 2 * np.pi / shape[0] * signals.q[:, dof]
+    return [on_dof(signals, dof, np.sin(angle)), on_dof(signals, dof, np.cos(angle))]

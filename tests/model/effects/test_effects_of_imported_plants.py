@@ -1,0 +1,310 @@
+"""Test the effects that only plants other than the rig have, against their equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from effect_test_helpers import rig_places
+
+from levid.config.base import parse_text
+from levid.config.model import ModelConfig
+from levid.identification.greybox.identify_greybox import to_yaml
+from levid.identification.trace.found_effects_summary import model_effect
+from levid.identification.trace.records.record_from_log import imported_places
+from levid.model.effects.base import Effect, Placed, Places, Signals
+from levid.model.effects.candidate_effects import all_effects
+from levid.model.effects.effect_serialization import placed_effects
+from levid.model.effects.lag_and_hysteresis_recursions import lagged_mean
+from levid.model.effects.operating_range import Extent
+
+MODEL = """
+levid: model
+name: arm
+dof: [{name: angle, unit: rad}]
+inputs: [{name: voltage, unit: V}]
+M: [[1.0]]
+D: [[1.0]]
+K: [[1.0]]
+"""
+TS, LAG_S, MIDDLE, COMMAND = 1e-3, 2e-3, 0.4, -3.0
+FAMILIES = ("gravity.", "backlash.", "cogging.", "magnetic_force.", "actuator.")
+KEYS = (
+    "damping.asymmetric",
+    "friction.coulomb_asymmetric",
+    "friction.stribeck_asymmetric",
+    "gravity.sine",
+    "backlash.dead_zone_spring",
+    "backlash.play",
+    "cogging.position",
+    *(f"magnetic_force.{law}.{way}" for law in ("i2_y2", "i1_y4", "i2_y4")
+      for way in ("opens", "closes")),
+    "actuator.squared",
+    "actuator.quadratic",
+    "actuator.cubic",
+    "actuator.times_speed",
+    "actuator.quantised",
+)  # fmt: skip
+EACH = pytest.mark.parametrize("key", KEYS)
+Law = Callable[..., np.ndarray]
+
+
+def places() -> Places:
+    return imported_places(parse_text(MODEL, ModelConfig, "arm"))
+
+
+@cache
+def moving(lag_s: float = 0.0) -> Signals:
+    """Return six seconds of an arm around MIDDLE with commands around COMMAND."""
+    t, rng = np.arange(6000) * TS, np.random.default_rng(2)
+    w, phase = 2 * np.pi * rng.integers(2, 30, 6) / 6.0, rng.uniform(0, 2 * np.pi, 6)
+    angle = np.multiply.outer(t, w) + phase
+    q, qd, qdd = (
+        0.1 * part.sum(axis=1)[:, None]
+        for part in (np.sin(angle), w * np.cos(angle), -w * w * np.sin(angle))
+    )
+    coil = COMMAND + 0.8 * rng.standard_normal((len(t), 1))
+    nothing = np.zeros(len(t))
+    return Signals(
+        TS, t, q + MIDDLE, qd, qdd, coil, *(nothing for _ in range(6)), 1, places(), lag_s
+    )
+
+
+@cache
+def table() -> dict[str, Effect]:
+    found = all_effects(places(), Extent.measured([moving()]))
+    return {e.key.partition("[")[0]: e for e in found if e.key.partition("[")[0] in KEYS}
+
+
+def placed(key: str) -> Placed:
+    """Return an effect with arbitrary amplitudes and a shape off the grid."""
+    effect = table()[key]
+    amplitudes = tuple(0.3 + 0.4 * i for i in range(len(effect.amplitudes)))
+    return Placed(effect, tuple(1.07 * v for v in effect.grid[-1]), amplitudes)
+
+
+def test_new_effects_are_only_in_tables_of_other_plants():
+    new = set(KEYS)
+    assert set(table()) == new
+    rig = {e.key.partition("[")[0] for e in all_effects(rig_places())}
+    assert not rig & new
+    assert not [key for key in rig if key.startswith(FAMILIES)]
+
+
+def test_gravity_needs_an_angle():
+    in_metres = places()
+    in_metres = Places(**{**vars(in_metres), "dof_units": ("m",)})
+    assert "gravity.sine" not in {e.key for e in all_effects(in_metres)}
+    in_degrees = Places(**{**vars(in_metres), "dof_units": ("deg",)})
+    (gravity,) = (e for e in all_effects(in_degrees) if e.key == "gravity.sine")
+    sine, cosine = (t.force for t in gravity.build(moving(), ()))
+    np.testing.assert_allclose(sine**2 + cosine**2, 1.0)
+    np.testing.assert_allclose(sine, -np.sin(moving().q * np.pi / 180))
+
+
+# Equations, written again. Each returns the force on the DOF or the addition to the command.
+
+
+def sliding(q, v, F, friction, asymmetry, v_s):
+    direction = np.tanh(v / v_s)
+    return -(friction + asymmetry * direction) * direction
+
+
+def stribeck(q, v, F, friction, peak, asymmetry, v_s, turn):
+    direction = np.tanh(v / (turn * v_s))
+    level = friction + peak * np.exp(-((v / v_s) ** 2)) + asymmetry * direction
+    return -level * direction
+
+
+def dead_zone_spring(q, v, F, k, q0, half):
+    above, below = np.maximum(q - q0 - half, 0.0), np.minimum(q - q0 + half, 0.0)
+    return -k * (above + below)
+
+
+def play(q, v, F, k, half):
+    """Return the force of a part that is dragged along; it has been moved before the record."""
+    output, p = [], q[0]
+    for x in [*q[:4000], *q]:
+        p = x - half if x - p > half else x + half if x - p < -half else p
+        output.append(p)
+    return -k * (q - np.array(output[4000:]))
+
+
+def cogging(q, v, F, a, b, pitch):
+    size, shift = np.hypot(a, b), np.arctan2(b, a)
+    return size * np.sin(2 * np.pi * q / pitch + shift)
+
+
+def acting(F):
+    """Return the mean of the commands that act before and after each row, a row later."""
+    before = np.concatenate([F[:1], F[:-1]])
+    return 0.5 * (before + np.concatenate([F[:1], before[:-1]]))
+
+
+def magnet(current: int, gap: int, way: float) -> Law:
+    def law(q, v, F, *values):
+        at_q, at_F = working_point(f"magnetic_force.i{current}_y{gap}.opens")
+
+        def full(q, F):
+            if current == 1:
+                c, gain, y0 = values
+                return (c + gain * (F - at_F)) * (y0 / (y0 + way * (q - at_q))) ** gap
+            c, y0, i0 = values
+            # The mean command is negative: a more negative command is a larger current.
+            ratio = (i0 - (F - at_F)) / i0
+            return c * ratio**2 * (y0 / (y0 + way * (q - at_q))) ** gap
+
+        h = 1e-5
+        by_q = (full(at_q + h, at_F) - full(at_q - h, at_F)) / (2 * h)
+        by_F = (full(at_q, at_F + h) - full(at_q, at_F - h)) / (2 * h)
+        F = acting(F)
+        return full(q, F) - full(at_q, at_F) - by_q * (q - at_q) - by_F * (F - at_F)
+
+    return law
+
+
+def working_point(key: str) -> tuple[float, float]:
+    q, F = table()[key].key.partition("[")[2].rstrip("]").split(",")
+    return float(q), float(F)
+
+
+def times_speed(q, v, F, a):
+    # Commanded in a row, it acts from the next row to the one after that.
+    later = np.minimum(np.arange(len(v)) + 1, len(v) - 1)
+    last = np.minimum(later + 1, len(v) - 1)
+    return a * F * (v[later] + v[last]) / 2
+
+
+LAWS: dict[str, Law] = {
+    "damping.asymmetric": lambda q, v, F, asymmetry: -asymmetry * np.sign(v) * v,
+    "friction.coulomb_asymmetric": sliding,
+    "friction.stribeck_asymmetric": stribeck,
+    "gravity.sine": lambda q, v, F, k_s, k_c: -(k_s * np.sin(q) + k_c * np.cos(q)),
+    "backlash.dead_zone_spring": dead_zone_spring,
+    "backlash.play": play,
+    "cogging.position": cogging,
+    **{
+        f"magnetic_force.i{a}_y{b}.{way}": magnet(a, b, sign)
+        for a, b in ((2, 2), (1, 4), (2, 4))
+        for way, sign in (("opens", 1.0), ("closes", -1.0))
+    },
+    "actuator.squared": lambda q, v, F, a: a * np.sign(F) * F**2,
+    "actuator.quadratic": lambda q, v, F, a: a * F**2,
+    "actuator.cubic": lambda q, v, F, a: a * F**3,
+    "actuator.times_speed": times_speed,
+    "actuator.quantised": lambda q, v, F, depth, step: (
+        depth * (np.floor(F / step + 0.5) * step - F)
+    ),
+}
+
+
+@EACH
+def test_term_is_the_equation_along_a_trajectory(key: str):
+    s, effect = moving(), placed(key)
+    term = effect.term(s)
+    found = term.held if key.startswith("actuator.") else term.force
+    others = [p for p in term.parts if p is not None and p is not found]
+    assert not others
+    assert found is not None
+    expected = LAWS[key](s.q[:, 0], s.qd[:, 0], s.coil[:, 0], *effect.amplitudes, *effect.shape)
+    assert expected.std() > 0.0
+    # The reference of the magnets differentiates numerically.
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-6 * np.abs(expected).max())
+
+
+@EACH
+def test_terms_and_their_derivatives_by_the_shape_are_finite_on_the_grid(key: str):
+    effect = table()[key]
+    for row in effect.grid:
+        for i, quantity in enumerate(effect.shape):
+            step = 1e-4 * row[i] if quantity.log else 1e-6 * (quantity.high - quantity.low)
+            ends = []
+            for sign in (1.0, -1.0):
+                there = list(row)
+                there[i] += sign * step
+                ends.append(
+                    [p for t in effect.build(moving(), there) for p in t.parts if p is not None]
+                )
+            for one, other in zip(*ends, strict=True):
+                assert np.all(np.isfinite((one - other) / (2 * step))), (key, row, quantity.name)
+        for term in effect.build(moving(), row):
+            (part,) = (p for p in term.parts if p is not None)
+            assert np.any(part), (key, row)
+
+
+@EACH
+def test_effect_is_read_back_from_a_model_file_with_other_records(key: str):
+    written = placed(key)
+    config = parse_text(MODEL, ModelConfig, "arm").model_copy(
+        update={"effects": (model_effect(written),)}
+    )
+    read = parse_text(to_yaml(config), ModelConfig, "arm")
+    other = Extent((0.01,), (0.2,), 0.01, 5.0, 0.0, middle=(-7.0,), commands=((9.0, 1.0),))
+    for extent in (None, other):
+        (back,) = placed_effects(read.effects, places(), extent)
+        assert back.effect.identity == written.effect.identity
+        assert (back.shape, back.amplitudes) == (written.shape, written.amplitudes)
+        for one, two in zip(back.term(moving()).parts, written.term(moving()).parts, strict=True):
+            assert (one is None) == (two is None)
+            assert one is None or np.array_equal(one, two)
+
+
+def test_friction_of_two_levels_has_these_levels():
+    s = moving()
+    effect = table()["friction.coulomb_asymmetric"]
+    force = Placed(effect, (1e-4,), (0.5, 0.2)).term(s).force[:, 0]
+    v = s.qd[:, 0]
+    np.testing.assert_allclose(force[v > 0.01], -0.7)
+    np.testing.assert_allclose(force[v < -0.01], 0.3)
+
+
+@pytest.mark.parametrize("way", ["opens", "closes"])
+def test_magnetic_force_is_quadratic_near_its_working_point(way: str):
+    """Stiffness and gain of the model keep their meaning: there the effect has neither."""
+    key = f"magnetic_force.i2_y2.{way}"
+    effect, (at_q, at_F) = table()[key], working_point(key)
+    s, sizes = moving(), []
+    for size in (1e-3, 1e-4):
+        near = Signals(**{
+            **vars(s), "q": at_q + size * (s.q - at_q), "coil": at_F + size * (s.coil - at_F),
+        })  # fmt: skip
+        sizes.append(np.abs(effect.build(near, effect.grid[0])[0].force).max())
+    assert sizes[1] == pytest.approx(1e-2 * sizes[0], rel=0.02)
+
+
+def test_magnetic_force_follows_the_lagged_current():
+    s = moving(LAG_S)
+    effect = table()["magnetic_force.i1_y4.opens"]
+    late = Signals(
+        **{**vars(s), "lag_s": 0.0, "coil": lagged_mean(s.coil[:, 0], LAG_S, TS)[:, None]}
+    )
+    shape = effect.grid[0]
+    np.testing.assert_allclose(effect.build(s, shape)[1].force, effect.build(late, shape)[1].force)
+
+
+def test_unknown_contact_force_of_a_play_decays_as_the_play_is_passed():
+    effect, s = table()["backlash.play"], moving()
+    assert effect.initial_force_decay is not None
+    half = 0.2
+    decay = effect.initial_force_decay(s, (half,))[0].force[:, 0]
+    assert decay[0] == 1.0
+    assert np.all(np.diff(decay) <= 1e-12)
+    passed = np.flatnonzero(np.abs(s.q[:, 0] - s.q[0, 0]) > 2 * half)[0]
+    assert np.all(decay[passed:] < 1e-12)
+
+
+@pytest.mark.parametrize("travel", [0.5, 400.0])
+def test_pitches_are_dense_enough(travel: float):
+    extent = Extent((travel / 4,), (1.0,), 0.1, 5.0, 0.0)
+    (effect,) = (e for e in all_effects(places(), extent) if e.key == "cogging.position")
+    pitches = np.sort([pitch for (pitch,) in effect.grid])
+    assert len(pitches) <= 60
+    over = np.sort(travel / pitches[pitches >= 0.999 * travel / 20])
+    np.testing.assert_allclose(over[[0, -1]], [0.5, 20.0])
+    assert np.diff(over).max() <= 0.5 + 1e-9
+    # A motor that turns many times has a pitch that divides the revolution.
+    shorter = pitches[pitches < 0.999 * travel / 20]
+    np.testing.assert_allclose(2 * np.pi / shorter, np.round(2 * np.pi / shorter))
+    assert len(shorter) == (20 if travel > 300 else 0)

@@ -96,7 +96,8 @@ def command(
     for old in older_results(out, _RESULTS, began):
         say(f"warning: {old} is from an earlier run; this run has no such result")
     for remark in _contradictions(found):
-        say(f"warning: {remark}")
+        if remark not in found.before:
+            say(f"warning: {remark}")
     if as_json:
         from ..identification.results_to_json import study_summary
 
@@ -117,6 +118,8 @@ def identify_logs(
     options: Options | None = None,
 ) -> tuple[Study, Path]:
     """Identify the plant from logs and write the report and model.yaml to `out`.
+
+    Remarks that are known before the fits are printed on stderr at once.
 
     Returns:
         Results and path of the report.
@@ -152,7 +155,13 @@ def identify_logs(
 
     with progress("identifying") as report:
         chosen = options or Options()
-        found = study(logs, model_of, chosen, lambda what, share: report(what, 0.85 * share))
+        found = study(
+            logs,
+            model_of,
+            chosen,
+            lambda what, share: report(what, 0.85 * share),
+            lambda remark: say(f"warning: {remark}"),
+        )
         # Save the model first: the results of a long fit survive an error in the report.
         out.mkdir(parents=True, exist_ok=True)
         if found.grey is not None:
@@ -169,7 +178,8 @@ def identify_logs(
             found.multisine,
             found.notes,
         )
-    return replace(found, notes=(*found.notes, *_contradictions(found))), page
+    notes = tuple(dict.fromkeys((*found.notes, *_contradictions(found))))
+    return replace(found, notes=notes), page
 
 
 def words(found: Study) -> list[str]:

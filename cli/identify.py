@@ -241,6 +241,8 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
     ratio = ""
     if "order_gap" in point:
         ratio = f", the next singular value is {point['order_gap']:.0f} times smaller"
+    elif point["markov"]:
+        ratio = f", impulse response of {_impulse(point['impulse'])}"
     count = len(point["records"])
     line = f"{_where(point['beam_m'])}: {count} record{'s' * (count != 1)}, order {point['order']}"
     lines = [f"{line}{ratio}"]
@@ -262,6 +264,14 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
             if texts:
                 lines.append(f"  last {held['rows']} rows (held out), {kind}: {', '.join(texts)}")
     return lines
+
+
+def _impulse(impulse: dict[str, Any]) -> str:
+    chosen_by = impulse["chosen_by"]
+    if chosen_by == "validation":
+        tried = sorted(map(int, impulse["validation_error"]))
+        chosen_by = f"of {', '.join(map(str, tried))} by validation"
+    return f"{impulse['length_s']:.3g} s ({impulse['taps']} rows, {chosen_by})"
 
 
 def _modes(modes: Sequence[dict[str, Any]]) -> list[str]:

@@ -96,7 +96,8 @@ def command(
     for old in older_results(out, _RESULTS, began):
         say(f"warning: {old} is from an earlier run; this run has no such result")
     for remark in _contradictions(found):
-        say(f"warning: {remark}")
+        if remark not in found.before:
+            say(f"warning: {remark}")
     if as_json:
         from ..identification.results_to_json import study_summary
 
@@ -117,6 +118,8 @@ def identify_logs(
     options: Options | None = None,
 ) -> tuple[Study, Path]:
     """Identify the plant from logs and write the report and model.yaml to `out`.
+
+    Remarks that are known before the fits are printed on stderr at once.
 
     Returns:
         Results and path of the report.
@@ -152,7 +155,13 @@ def identify_logs(
 
     with progress("identifying") as report:
         chosen = options or Options()
-        found = study(logs, model_of, chosen, lambda what, share: report(what, 0.85 * share))
+        found = study(
+            logs,
+            model_of,
+            chosen,
+            lambda what, share: report(what, 0.85 * share),
+            lambda remark: say(f"warning: {remark}"),
+        )
         # Save the model first: the results of a long fit survive an error in the report.
         out.mkdir(parents=True, exist_ok=True)
         if found.grey is not None:
@@ -169,7 +178,8 @@ def identify_logs(
             found.multisine,
             found.notes,
         )
-    return replace(found, notes=(*found.notes, *_contradictions(found))), page
+    notes = tuple(dict.fromkeys((*found.notes, *_contradictions(found))))
+    return replace(found, notes=notes), page
 
 
 def words(found: Study) -> list[str]:
@@ -231,6 +241,8 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
     ratio = ""
     if "order_gap" in point:
         ratio = f", the next singular value is {point['order_gap']:.0f} times smaller"
+    elif point["markov"]:
+        ratio = f", impulse response of {_impulse(point['impulse'])}"
     count = len(point["records"])
     line = f"{_where(point['beam_m'])}: {count} record{'s' * (count != 1)}, order {point['order']}"
     lines = [f"{line}{ratio}"]
@@ -252,6 +264,14 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
             if texts:
                 lines.append(f"  last {held['rows']} rows (held out), {kind}: {', '.join(texts)}")
     return lines
+
+
+def _impulse(impulse: dict[str, Any]) -> str:
+    chosen_by = impulse["chosen_by"]
+    if chosen_by == "validation":
+        tried = sorted(map(int, impulse["validation_error"]))
+        chosen_by = f"of {', '.join(map(str, tried))} by validation"
+    return f"{impulse['length_s']:.3g} s ({impulse['taps']} rows, {chosen_by})"
 
 
 def _modes(modes: Sequence[dict[str, Any]]) -> list[str]:

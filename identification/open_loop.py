@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +11,11 @@ from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
 from .nonparametric.frequency_response import ResponseEstimate, frequency_response
-from .nonparametric.markov_parameters import most_taps
+from .nonparametric.markov_parameters import convolve, most_taps, nested_estimates
 from .options import Options
 from .records.drop_short_records import drop_short_records, left_out_remarks
 from .records.record import IdentificationError, OperatingPoint, Record
-from .results import OpenLoopPoint
+from .results import ImpulseLength, OpenLoopPoint
 from .subspace.fit_percent import nrmse_fit_percent
 from .subspace.held_out_simulation import HoldOut
 from .subspace.plant_from_loop import IdentifiedPlant
@@ -37,6 +38,8 @@ TRIAL_ROWS = 20_000
 """Rows to which the models of every order are fitted; the chosen orders are fitted to all."""
 ROWS_A_TAP = 4
 MOST_TAPS = 200
+FEWEST_TAPS = 2 * HIGHEST_ORDER + 1
+"""Shortest impulse response that is tried: its Hankel matrix has HIGHEST_ORDER singular values."""
 VALIDATION_SHARE = 0.25
 BLOCKS = 8
 """Blocks in time from which the standard error of a validation error is estimated."""
@@ -66,8 +69,8 @@ def identify_open_loop(
     Models of every order are estimated in closed form (Ho-Kalman, observer Markov parameters), and
     refined by the prediction-error method from each of these starts: one simulates from the inputs
     alone, one predicts a step ahead. Their orders are chosen by validation: models of every order
-    are fitted to the first three quarters of the training rows and compared on the last. The
-    held-out rows (`options.holdout`) only measure the fit.
+    are fitted to the first three quarters of the training rows and compared on the last. So is the
+    length of the impulse response. The held-out rows (`options.holdout`) only measure the fit.
 
     Records of a loop with an unknown controller have the predictor only, which is consistent there:
     `model` is the predictor's. So it is if no stable model simulates the records. An unstable model
@@ -83,12 +86,13 @@ def identify_open_loop(
     part_stops = [stop - round(VALIDATION_SHARE * stop) for stop in stops]
 
     _check_outputs([r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)])
-    trial, simulated, predicted = _by_order(training, part_stops, options, progress)
+    impulse = _impulse_length(training, part_stops, options)
+    trial, simulated, predicted = _by_order(training, part_stops, impulse.taps, options, progress)
     cost = _state_cost(training)
     predictor_order = options.order or _smallest_good(predicted, cost)
     order = options.order or (_smallest_good(simulated, cost) if simulated else predictor_order)
 
-    starts = _starts(training, options)
+    starts = starting_models(training, impulse.taps, options.markov, HIGHEST_ORDER)
     final = _fitted(order, starts, training, [trial[order]])
     progress(0.9)
     ahead = (
@@ -116,6 +120,7 @@ def identify_open_loop(
             if starts.decomposition is None
             else {options.markov: starts.decomposition.singular_values}
         ),
+        impulse=impulse,
         order=len(fit.model.A),
         predictor_order=predictor_order,
         validation_error=_curve(simulated),
@@ -151,6 +156,7 @@ _UNSTABLE = (
 def _by_order(
     training: Sequence[Record],
     part_stops: Sequence[int],
+    taps: int,
     options: Options,
     progress: Callable[[float], None],
 ) -> tuple[dict[int, _Fitted], dict[int, Array], dict[int, Array]]:
@@ -159,7 +165,7 @@ def _by_order(
     The search ends if PATIENCE orders in a row are no better than a lower one.
     """
     parts = [r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)]
-    starts = _starts(parts, options)
+    starts = starting_models(parts, taps, options.markov, HIGHEST_ORDER)
     few = _first_rows(parts, TRIAL_ROWS)
     cost = _state_cost(training)
     trial: dict[int, _Fitted] = {}
@@ -187,10 +193,6 @@ def _by_order(
         # Without a predictor of any order: the reason of the first.
         starts.predictor(options.order or 1)
     return trial, *errors
-
-
-def _starts(records: Sequence[Record], options: Options) -> StartingModels:
-    return starting_models(records, _taps(records, options), options.markov, HIGHEST_ORDER)
 
 
 def _trial(order: int, starts: StartingModels, records: Sequence[Record]) -> _Fitted:
@@ -253,9 +255,34 @@ def _check_outputs(parts: Sequence[Record]) -> None:
                 )
 
 
-def _taps(records: Sequence[Record], options: Options) -> int:
+def _impulse_length(
+    training: Sequence[Record], part_stops: Sequence[int], options: Options
+) -> ImpulseLength:
+    """Return the length of the impulse response: the given one, or the one with the least error.
+
+    Candidates are the longest that the rows before `part_stops` determine, and its halves. Each is
+    estimated from these rows, and predicts the outputs of the rows after them from the inputs. The
+    shortest one within one standard error of the best is chosen.
+    """
+    Ts_s = training[0].Ts_s
     if options.impulse_s is not None:
-        return max(3, round(options.impulse_s / records[0].Ts_s))
+        return ImpulseLength(max(3, round(options.impulse_s / Ts_s)), Ts_s, "given", {})
+    parts = [r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)]
+    lengths = [_most_taps(parts)]
+    while lengths[-1] // 2 >= FEWEST_TAPS:
+        lengths.append(lengths[-1] // 2)
+    errors: dict[int, Array] = {}
+    # Where the excitation determines no length, the model starts from the predictor alone.
+    with suppress(IdentificationError):
+        for length, g in nested_estimates(parts, lengths, options.markov).items():
+            _add_errors(errors, length, training, part_stops, _convolved(g, parts))
+    if not errors:
+        return ImpulseLength(lengths[0], Ts_s, "rule", {})
+    by_length = {length: float(np.sqrt(blocks.mean())) for length, blocks in errors.items()}
+    return ImpulseLength(_smallest_good(errors, 0.0), Ts_s, "validation", by_length)
+
+
+def _most_taps(records: Sequence[Record]) -> int:
     rows = sum(len(r.y) for r in records)
     shortest = min(len(r.y) for r in records)
     enough = min(rows // (ROWS_A_TAP * records[0].v.shape[1]), most_taps(records))
@@ -270,6 +297,13 @@ def _simulated(model: StateSpace, known: Sequence[Record]) -> Run:
     """Return a function that simulates a record; `known` rows determine its start and offset."""
     starts = [initial_state_and_offset(model, r.v, r.y) for r in known]
     return lambda number, record: simulate(model, record.v, starts[number][0]) + starts[number][1]
+
+
+def _convolved(g: Array, known: Sequence[Record]) -> Run:
+    """Return a function that predicts by Markov parameters; `known` rows determine the offset."""
+    first = len(g) - 1
+    offsets = [(r.y - convolve(r.v, g))[first:].mean(axis=0) for r in known]
+    return lambda number, record: convolve(record.v, g) + offsets[number]
 
 
 def _predicted(model: InnovationModel, known: Sequence[Record]) -> Run:
@@ -296,7 +330,7 @@ def _add_errors(
 
 
 def _smallest_good(possible: Mapping[int, Array], state_cost: float) -> int:
-    """Return the smallest order whose error is not significantly above the best order's.
+    """Return the smallest order (or length) whose error is not significantly above the best one's.
 
     That is: the mean error is larger by at most one standard error of the difference, compared
     block by block, or its logarithm by at most `state_cost` for each state less.

@@ -19,7 +19,7 @@ class Options:
     order: states of the realised model. None: the largest ratio of neighbouring singular values in
     closed loop, validation in open loop.
     impulse_s: length of the impulse response in s. None: 8 s in closed loop (longer until it has
-    decayed, shorter for short records), up to 4 rows for each tap in open loop.
+    decayed, shorter for short records), validation in open loop.
     segment_s: segments of the spectra in s. None: 10 s in closed loop (shorter for short records),
     an eighth of the longest record in open loop.
     holdout: share of every record, at its end, that is held out to check the model.

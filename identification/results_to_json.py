@@ -120,6 +120,12 @@ def _open(point: OpenLoopPoint) -> dict[str, Any]:
         "predictor_validation_error": point.predictor_validation_error,
         "singular_values": point.singular_values,
         "markov": {name: _markov(m) for name, m in point.markov.items()},
+        "impulse": {
+            "taps": point.impulse.taps,
+            "length_s": point.impulse.length_s,
+            "chosen_by": point.impulse.chosen_by,
+            "validation_error": point.impulse.validation_error,
+        },
         "model": {**_model(point.model), "modes": _modes(point.modes)},
         "stable": point.stable,
         "predictor": {

@@ -11,6 +11,7 @@ import numpy as np
 from ..config.model import ModelConfig
 from ..log.errors import LogError
 from ..log.reader import Log, read_log
+from .checks_before_fit import check_before_fit
 from .greybox.declared_model_from_config import declared_model
 from .greybox.experiment_from_log import Experiment
 from .greybox.identify_greybox import GreyBox, identify_grey_box
@@ -43,13 +44,14 @@ class Study:
     `points`: Markov parameters, Ho-Kalman, subspace and spectra by operating point; None without
     suitable records. `multisine`: the best linear approximation by operating point. `grey`: the
     declared model fitted to all records; None without a model. `notes`: logs left out, with the
-    reason, and models that should not be used.
+    reason, and models that should not be used. `before`: those known before the fits.
     """
 
     points: IdentificationResult | None
     multisine: tuple[BestLinearApproximation, ...]
     grey: GreyBox | None
     notes: tuple[str, ...] = ()
+    before: tuple[str, ...] = ()
 
 
 @dataclass
@@ -68,11 +70,12 @@ def study(
     model_of: Callable[[Log], ModelConfig | None],
     options: Options,
     progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Study:
     """Read the logs and identify them by every method that their records allow.
 
     `model_of` returns the declared model for the first log, or None to fit none. The model's lag
-    replaces options.lag_s.
+    replaces options.lag_s. `say` is called with each remark of the checks before the fit.
 
     Raises LogError for a file that is not a log, IdentificationError if no method succeeds.
     """
@@ -86,6 +89,10 @@ def study(
         raise IdentificationError(
             f"expected at least one record to identify, found none: {'; '.join(found.reasons)}"
         )
+    before = _checks(found, model, options)
+    if say is not None:
+        for remark in before:
+            say(remark)
     points, grey = None, None
     errors: list[IdentificationError] = []
     skipped = tuple(found.reasons)
@@ -121,7 +128,14 @@ def study(
     if errors and points is None and grey is None and not multisine:
         others = "".join(f"; {reason}" for reason in found.unfitted[:1])
         raise IdentificationError(f"{errors[0]}{others}")
-    return Study(points, multisine, grey, tuple(notes))
+    return Study(points, multisine, grey, (*before, *notes), before)
+
+
+def _checks(found: _LogContents, model: ModelConfig | None, options: Options) -> tuple[str, ...]:
+    """Return the remarks on imported data; logs of the rig have a known loop and excitation."""
+    records = [r for r in found.records if r.controller is None]
+    experiments = [e for e in found.experiments if e.correlations is None]
+    return check_before_fit(records, experiments, model, options)
 
 
 def _read(

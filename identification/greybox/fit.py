@@ -108,6 +108,25 @@ def fit_model(
         raise IdentificationError(f"model '{config.name}': {error}") from None
 
 
+def unidentifiable_at_start(
+    config: ModelConfig, experiments: Sequence[Experiment], force_share: float
+) -> tuple[Unidentifiable, ...]:
+    """Return the parameters that the records do not determine, from sensitivities at the start.
+
+    The start is the declared values; forces of `force_share` times the inputs (RMS) are unknown.
+    Raises as fit_model does.
+    """
+    try:
+        with threadpool_limits(1):
+            search = _Search(config, experiments, lambda _what, _share: None)
+            search.noise = first_noise(experiments, force_share)
+            R = search.factor(search.predict_all(search.model))[:-1, :-1]
+    except ModelError as error:
+        raise IdentificationError(f"model '{config.name}': {error}") from None
+    p = search.parameters
+    return tuple(find_unidentifiable(R, p.names, p.worth, p.scale))
+
+
 class _Search:
     def __init__(
         self, config: ModelConfig, experiments: Sequence[Experiment], progress: Progress
@@ -298,7 +317,9 @@ def _shortened(e: Experiment) -> Experiment:
     return e.rows(0, max(len(e.y) // 8, min(len(e.y), rows)))
 
 
-def first_noise(experiments: Sequence[Experiment]) -> Noise:
+def first_noise(
+    experiments: Sequence[Experiment], force_share: float = _FIRST_FORCE_SHARE
+) -> Noise:
     """Guess the noise: measurement noise from the outputs' roughness, forces from the inputs.
 
     Its correlations are those of the first record: all records of a fit are of one rig.
@@ -310,8 +331,6 @@ def first_noise(experiments: Sequence[Experiment]) -> Noise:
     variance = np.where(np.isfinite(variance), variance, 0.0)
     force_psd = np.max([np.var(e.u, axis=0) * e.Ts_s for e in experiments], axis=0)
     n = len(variance)
-    psd = _FIRST_FORCE_SHARE**2 * (
-        force_psd if len(force_psd) == n else np.full(n, force_psd.mean())
-    )
+    psd = force_share**2 * (force_psd if len(force_psd) == n else np.full(n, force_psd.mean()))
     unit = experiments[0].correlations or (np.eye(n), np.eye(n))
     return Noise(*unit).scaled(np.maximum(psd, 1e-300), np.maximum(variance, 1e-300))

@@ -14,6 +14,7 @@ from ...config.model import ModelConfig
 from ...model.second_order import StateSpace, discretise, lagged
 from ..records.record import IdentificationError
 from ..subspace.response_uncertainty import SURE_95
+from .declared_model_from_config import declared_model
 from .experiment_from_log import Experiment
 from .fit import Fit, fit_model
 from .force_balance.instrumental_variables import ForceBalance, fit_force_balance
@@ -107,16 +108,10 @@ def identify_grey_box(
         fit, balance, notes = _with_force_balance(config, fit)
         remarks += notes
     floor_noise = fit.noise if white or not imported else stated_noise(experiments)
-    checks = tuple(
-        validate(
-            fit.model,
-            e.rows(stop if holdout else 0, len(e.y)),
-            config.input,
-            fit.noise,
-            floor_noise,
-        )
-        for e, stop in zip(experiments, stops, strict=True)
-    )
+    held_out = [
+        e.rows(stop if holdout else 0, len(e.y)) for e, stop in zip(experiments, stops, strict=True)
+    ]
+    checks = tuple(validate(fit.model, e, config.input, fit.noise, floor_noise) for e in held_out)
     first = experiments[0]
     return GreyBox(
         config,
@@ -125,7 +120,7 @@ def identify_grey_box(
         checks,
         first.Ts_s,
         first.delay_cycles,
-        (*remarks, *_drifting(checks, experiments)),
+        (*remarks, *_drifting(config, checks, held_out)),
         balance,
     )
 
@@ -211,13 +206,17 @@ def _instrument(fit: Fit, e: Experiment, hold: Hold) -> Experiment:
     return replace(e, y=np.where(np.isfinite(ahead), ahead, e.y))
 
 
-def _drifting(checks: Sequence[Validation], experiments: Sequence[Experiment]) -> tuple[str, ...]:
+def _drifting(
+    config: ModelConfig, checks: Sequence[Validation], experiments: Sequence[Experiment]
+) -> tuple[str, ...]:
+    """Return remarks where the fitted model drifts; if the declared one did, it is known before."""
+    start = declared_model(config)
     return tuple(
-        f"record '{e.name}': the model integrates or is unstable, and no loop is declared: a "
-        "simulation would drift, so the error is that of predictions. Declare the loop in the "
-        "signals file"
+        f"record '{e.name}': the fitted model integrates or is unstable, unlike the declared one, "
+        "and no loop is declared: a simulation would drift, so the error is that of predictions. "
+        "Declare the loop in the signals file"
         for check, e in zip(checks, experiments, strict=True)
-        if check.metric == "prediction" and not e.feedback
+        if check.metric == "prediction" and not e.feedback and metric_of(start, e) == "free_run"
     )
 
 

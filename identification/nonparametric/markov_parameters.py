@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -60,6 +61,33 @@ def estimate_markov(records: Sequence[Record], length: int, method: str) -> Mark
     if method == "least_squares":
         _check_rows(records, length)
     return ESTIMATORS[method](records, length)
+
+
+def nested_estimates(
+    records: Sequence[Record], lengths: Sequence[int], method: str
+) -> dict[int, Array]:
+    """Return the Markov parameters (L, m, p) for each length L that the excitation determines.
+
+    Least squares of all lengths use the rows of the longest one and follow from one QR. Raises
+    IdentificationError as estimate_markov does for the longest length.
+    """
+    longest = max(lengths)
+    p, m = records[0].v.shape[1], records[0].y.shape[1]
+    if method != "least_squares":
+        g = estimate_markov(records, longest, method).g
+        return {length: g[:length] for length in lengths}
+    _check_rows(records, longest)
+    if sum(len(r.y) for r in records) * p * longest > DENSE_ELEMENTS:
+        return {length: by_least_squares(records, length).g for length in lengths}
+    R = triangle(_dense_rows(records, longest))
+    found = {}
+    for length in lengths:
+        taps = (longest * np.arange(p)[:, None] + np.arange(length)).ravel()
+        with_y = np.append(taps, p * longest + np.arange(m))
+        part = np.asarray(np.linalg.qr(R[:, with_y], mode="r"))
+        with suppress(IdentificationError):
+            found[length] = _solved(part, length, p)[0]
+    return found
 
 
 def most_taps(records: Sequence[Record]) -> int:
@@ -166,8 +194,11 @@ def solve_dense(records: Sequence[Record], length: int) -> tuple[Array, Array]:
 
     Raises IdentificationError if the excitation does not determine all taps.
     """
-    p, m = records[0].v.shape[1], records[0].y.shape[1]
-    R = triangle(_dense_rows(records, length))
+    return _solved(triangle(_dense_rows(records, length)), length, records[0].v.shape[1])
+
+
+def _solved(R: Array, length: int, p: int) -> tuple[Array, Array]:
+    m = R.shape[1] - p * length
     taps = R[: p * length, : p * length]
     if not independent(taps, 1e-12):
         raise IdentificationError(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ SEGMENTS = 8
 """Segments in the shortest record; they overlap by half, to average the spectrum's scatter."""
 MIN_REPETITION = 0.9
 """Autocorrelation (of either sign) from which the excitation counts as periodic."""
+_LINES_A_SINE = 3
+"""Fewest spectral lines of a sine wave in a Hann window."""
 REMEDY = (
     "fly white noise (signal white_noise without band_hz), or multisines with 'orthogonal' at all "
     "inputs"
@@ -108,3 +111,60 @@ def _smallest_power(records: Sequence[Record], segment: int) -> Array:
     scale = np.sqrt(np.einsum("fii->fi", density).real.mean(axis=0))
     scale = np.where(scale > 0, scale, 1.0)
     return np.asarray(np.linalg.eigvalsh(density / (scale[:, None] * scale))[:, 0])
+
+
+@dataclass(frozen=True)
+class DependentInput:
+    """An input that is a linear combination of others, up to `share` of its RMS.
+
+    `factors`: of the other inputs by name, in units of the signals.
+    """
+
+    name: str
+    factors: Mapping[str, float]
+    share: float
+
+
+def dependent_inputs(records: Sequence[Record]) -> list[DependentInput]:
+    """Return the inputs that the others explain in the same row, the last ones of each set first.
+
+    An input is dependent if less than MIN_POWER of its power is left. Constant inputs do not count.
+    """
+    names = records[0].input_names
+    stacked = np.vstack([r.v - r.v.mean(axis=0) for r in records])
+    R: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+    size = np.linalg.norm(R, axis=0)
+    others = np.flatnonzero(np.any([r.excited for r in records], axis=0)).tolist()
+    found = []
+    for j in reversed(list(others)):
+        rest = [i for i in others if i != j]
+        unit = R[:, rest] / size[rest]
+        factors = np.linalg.lstsq(unit, R[:, j] / size[j], rcond=1e-12)[0]
+        share = float(np.linalg.norm(R[:, j] / size[j] - unit @ factors))
+        if rest and share**2 < MIN_POWER:
+            by_name = dict(
+                zip((names[i] for i in rest), size[j] * factors / size[rest], strict=True)
+            )
+            found.append(DependentInput(names[j], by_name, share))
+            others.remove(j)
+    return found
+
+
+def sine_waves(records: Sequence[Record]) -> NDArray[np.int64]:
+    """Return for each input (p,) how many sine waves have all but MIN_POWER of its power.
+
+    Each determines two numbers of a model (its order of persistent excitation is 2; Ljung, System
+    Identification, 1999, sec. 13.2). 0 for a constant input. The count is of spectral lines of the
+    longest record, whose Hann window spreads a sine over three or four.
+    """
+    size = max(len(r.v) for r in records)
+    total = np.zeros((size // 2 + 1, records[0].v.shape[1]))
+    for r in records:
+        window = signal.windows.hann(len(r.v), sym=False)[:, None]
+        total += np.abs(fft.rfft(window * (r.v - r.v.mean(axis=0)), size, axis=0)) ** 2
+    ordered = np.sort(total, axis=0)[::-1]
+    power = ordered.sum(axis=0)
+    rest = power - np.cumsum(ordered, axis=0)
+    lines = np.sum(rest > MIN_POWER * power, axis=0) + 1
+    excited = np.any([r.excited for r in records], axis=0)
+    return np.where(excited, np.maximum(lines // _LINES_A_SINE, 1), 0)

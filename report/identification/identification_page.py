@@ -403,7 +403,11 @@ def _record_parts(
         if not r.startswith(tuple(f"{record}: " for record in bla.records))
     ]
     parts += [Text(f"Multisines: {remark}.") for remark in dict.fromkeys(of_all)]
-    left_out = dict.fromkeys([*(result.skipped if result is not None else ()), *notes])
+    shown = {f"record '{record}': {text}" for (record, _), own in rows.items() for text in own}
+    shown.update(() if grey is None else grey.remarks)
+    left_out = dict.fromkeys(
+        [*(result.skipped if result is not None else ()), *(n for n in notes if n not in shown)]
+    )
     if left_out:
         skipped = tuple(_log_and_reason(text) for text in left_out)
         parts.append(Table("Left out, and other notes", ("what", "why"), skipped, 2))

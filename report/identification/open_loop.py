@@ -195,7 +195,8 @@ def _order_parts(point: OpenLoopPoint, name: str) -> tuple[Part, ...]:
             f"{name}-singular-values",
             to_svg(singular_values(spectra)),
             "Singular values of the Hankel matrix on a logarithmic scale.",
-            "Singular values of the Hankel matrix of the Markov parameters, where no gap decides.",
+            "Singular values of the Hankel matrix of the Markov parameters, where no gap decides. "
+            f"{_length_words(point)}",
         ),
     )
 
@@ -209,3 +210,20 @@ def _fit_words(held: HoldOut, signals: SignalLabels) -> str:
         fits = [f"{kind} with a fit of {x:.1f} %" for kind, x in kinds.items() if np.isfinite(x)]
         words.append(f"{name} {', '.join(fits)}")
     return "; ".join(words)
+
+
+def _length_words(point: OpenLoopPoint) -> str:
+    impulse = point.impulse
+    length = f"The impulse response has {impulse.length_s:.3g} s ({impulse.taps} rows)"
+    if impulse.chosen_by == "given":
+        return f"{length}, as given."
+    if impulse.chosen_by == "rule" or not point.markov:
+        return f"{length}, the longest that the rows allow."
+    errors = ", ".join(
+        f"{taps} rows {100 * error:.3g} %"
+        for taps, error in sorted(impulse.validation_error.items())
+    )
+    return (
+        f"{length}, the shortest one whose error on the last quarter of the training rows is "
+        f"within one standard error of the best. Errors over the output: {errors}."
+    )

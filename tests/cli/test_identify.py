@@ -10,9 +10,11 @@ import pytest
 import scipy.io
 
 from levid.cli.identify import _modes, _multisine
+from levid.cli.progress import say
 from levid.config.base import load_yaml
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
+from levid.identification import run_identification
 from levid.sim.true_response import frequency_response
 
 Command = Callable[..., tuple[int, str, str]]
@@ -217,6 +219,53 @@ def test_input_hold_that_differs_between_model_and_log_gives_a_warning(
     assert any(fact in note for note in json.loads(text)["notes"]) == warned
     assert (fact in (out / "index.html").read_text()) == warned
     assert "\ninput: zoh\n" in (out / "model.yaml").read_text()
+
+
+GAINS = """
+levid: model
+name: gains
+dof: [{name: y, unit: V}]
+inputs: [{name: u, unit: V}]
+parameters:
+  a: {value: 1.0, unit: V/V, min: 0.1, max: 10}
+  b: {value: 1.0, unit: s^-2, min: 0.1, max: 10}
+M: [[1]]
+D: [[0.5]]
+K: [[0]]
+B: [[a * b]]
+"""
+
+
+def test_integrator_without_loop_and_product_of_parameters_are_reported_before_the_fit(
+    tmp_path: Path, levid: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(1)
+    u, q, rate = rng.standard_normal(1500), np.zeros(1500), 0.0
+    for k in range(1, 1500):
+        q[k], rate = q[k - 1] + 0.1 * rate, 0.95 * rate + 0.1 * u[k - 1]
+    np.savetxt(tmp_path / "made.dat", np.stack([u, q + 1e-3 * rng.standard_normal(1500)], axis=1))
+    (tmp_path / "signals.yaml").write_text(COLUMNS.replace("rate_hz: 100\n", "rate_hz: 10\n"))
+    (tmp_path / "gains.yaml").write_text(GAINS)
+    log, fit = tmp_path / "made.mcap", run_identification.identify_grey_box
+
+    def announced(*arguments: Any) -> Any:
+        say("the fit begins")
+        return fit(*arguments)
+
+    monkeypatch.setattr(run_identification, "identify_grey_box", announced)
+    levid("import", tmp_path / "made.dat", "--signals", tmp_path / "signals.yaml", "-o", log)
+    arguments = ("identify", log, "--model", tmp_path / "gains.yaml", "--out", tmp_path / "out")
+    code, text, err = levid(*arguments, "--json")
+    assert code == 0
+    before, _, after = err.partition("the fit begins")
+    notes = json.loads(text)["notes"]
+    for remark in (
+        "record 'made': the declared model integrates at its start values, and no loop",
+        "model 'gains': the records do not determine ",
+    ):
+        assert f"warning: {remark}" in before
+        assert remark not in after
+        assert sum(note.startswith(remark) for note in notes) == 1
 
 
 def test_truth_is_rejected_for_imported_data(tmp_path: Path, levid: Command) -> None:

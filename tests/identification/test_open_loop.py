@@ -79,6 +79,29 @@ def test_given_order_is_used():
     assert len(point.model.A) == 6
 
 
+def test_impulse_response_is_as_long_as_validation_asks() -> None:
+    rng = np.random.default_rng(4)
+    u = rng.normal(size=(4000, 1))
+    # Poles of 0.9 have decayed to 0.5 % after 50 rows, those of 0.99 to 13 % after 200.
+    for pole, taps in ((0.9, 50), (0.99, 200)):
+        y = lfilter([0.0, 1.0], [1.0, -pole], u, axis=0)
+        y += 0.05 * y.std() * rng.normal(size=y.shape)
+        record = Record("r", 0.02, u, y, ("u",), ("N",), ("y",), ("m",))
+        (point,) = identify([record]).points
+        assert isinstance(point, OpenLoopPoint)
+        assert point.impulse.chosen_by == "validation"
+        assert sorted(point.impulse.validation_error) == [50, 100, 200]
+        assert point.impulse.taps == len(point.markov["least_squares"].g) == taps
+        (given,) = identify([record], Options(impulse_s=0.8)).points
+        assert isinstance(given, OpenLoopPoint)
+        assert (given.impulse.taps, given.impulse.chosen_by) == (40, "given")
+        # The refinement makes the model independent of the length: by a tenth of its error.
+        error = point.modes.frequency_se_hz[0]
+        assert given.modes.frequency_hz[0] == pytest.approx(
+            point.modes.frequency_hz[0], abs=0.1 * error
+        )
+
+
 def test_held_out_data_do_not_affect_the_model():
     (record,) = _records(3)
     spoilt = record.y.copy()

@@ -141,7 +141,9 @@ class ForceRecord:
         key = (effect.identity, shape, delay_s, lag_s)
         parts = self._parts.get(key)
         if parts is None:
-            parts = [self._part(t, delay_s, lag_s) for t in effect.build(self.signals, shape)]
+            late = max(round((delay_s + self.band.own_delay_s) / self.band.Ts_s), 0)
+            signals = replace(self.signals, delay_cycles=late, lag_s=lag_s)
+            parts = [self._part(t, delay_s, lag_s) for t in effect.build(signals, shape)]
             if keep:
                 self._parts[key] = parts
         return parts

@@ -51,6 +51,14 @@ class Blocks:
         return np.array(found)
 
 
+def block_sums(blocks: Blocks, values: Sequence[Array]) -> Array:
+    """Return the sum of squares of values (rows, n) of each record in each block (B,)."""
+    found = []
+    for edges, own in zip(blocks.edges, values, strict=True):
+        found += [float(np.sum(own[a:b] ** 2)) for a, b in pairwise(edges.tolist())]
+    return np.array(found)
+
+
 def fitted(gram: Array, prior: Array | None = None) -> Array:
     """Return the coefficients (..., C) of Gram matrices (..., C + 1, C + 1)."""
     A, b = gram[..., :-1, :-1], gram[..., :-1, -1]
@@ -118,14 +126,16 @@ class Columns:
 
 @dataclass(frozen=True)
 class Gain:
-    """Squared errors that columns take of blocks that did not fit them (B,).
+    """Squared errors that an effect takes of blocks that did not fit it (B,).
 
+    size (B,): square of the change of the model's force in each block, with all blocks fitted.
     mean and standard_error are per block. `others`: for each record, what the columns take of it if
     only the other records fit them, nan where these do not determine them (halves, if there is one
     record).
     """
 
     blocks: Array
+    size: Array
     others: Array
 
     @property
@@ -135,8 +145,16 @@ class Gain:
 
     @property
     def standard_error(self) -> float:
-        """Standard error of the mean."""
-        return float(self.blocks.std(ddof=1) / np.sqrt(len(self.blocks)))
+        """Standard error of the mean, from the scatter about a gain in proportion to `size`.
+
+        A large effect in one block and a small one in another scatter little if both are as
+        expected. Blocks in which little happens do not count as blocks.
+        """
+        expected = self.size * (self.blocks.sum() / max(self.size.sum(), np.finfo(float).tiny))
+        active = self.size.sum() ** 2 / max(float(self.size @ self.size), np.finfo(float).tiny)
+        scatter = float(np.sum((self.blocks - expected) ** 2))
+        scatter *= active / max(active - 1.0, 1.0 / len(self.blocks))
+        return float(np.sqrt(scatter)) / len(self.blocks)
 
     @property
     def statistic(self) -> float:
@@ -151,9 +169,16 @@ class Gain:
 
 
 def gain_of(
-    before: Columns, after: Columns, base: int, amplitudes: int, record: NDArray[np.int64]
+    before: Columns,
+    after: Columns,
+    size: Array,
+    base: int,
+    amplitudes: int,
+    record: NDArray[np.int64],
 ) -> Gain:
     """Return the gain of one model over another, by their Gram matrices of all blocks.
+
+    size (B,): square of the difference of their missing forces in each block.
 
     The first `base` columns of `after` are the model's own, then follow those of the amplitudes of
     the effect that is judged, then of its shape, which is held where other records foretell one.
@@ -174,7 +199,7 @@ def gain_of(
             small = _with_fixed(own, base, extra)
             prior = _with_fixed(few.prior, base, 0.0 * extra)
             others[i] = at_home - squared_errors(small, fitted(small, prior))
-    return Gain(blocks, others)
+    return Gain(blocks, size, others)
 
 
 def _with_fixed(gram: Array, base: int, extra: Array) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect, Placed
 from .candidate_fit import Beside, fitted_candidate, taken_at
 from .force_record import ForceModel
-from .held_out_gain import Gain, gain_of
+from .held_out_gain import Columns, Gain, block_sums, fitted, gain_of
 from .search_options import SearchOptions
 from .training_records import Training, numbers_of
 
@@ -33,8 +33,8 @@ _ONE_LAW = "friction"
 class Rated:
     """A candidate with fitted numbers, and its gain over the model at that time.
 
-    share: the part of the squared missing force that it takes; force: the same over the inputs'
-    force, RMS, in the weighted band. instead_of: the effect whose place
+    share: the part of the squared missing force that it takes; force: the force that it takes over
+    the inputs' force, RMS, of the DOF where that is largest. instead_of: the effect whose place
     it takes. contenders: all that were fitted in the same round. `alternatives` are not told apart
     from it; `support`: share of bootstrap samples of the blocks in which one of its class and place
     gains most of all.
@@ -151,16 +151,21 @@ def _ranking(
     state: _State, table: Sequence[Effect], training: Training, options: SearchOptions
 ) -> list[Rated]:
     point = state.point
-    known = {p.effect.identity for p in point.placed} | set(state.dropped)
-    rubbed = {w for p in point.placed if p.effect.effect_class == _ONE_LAW for w in p.effect.where}
-    fresh = [e for e in table if e.identity not in known]
-    new = [e for e in fresh if e.effect_class != _ONE_LAW or not rubbed.intersection(e.where)]
-    ranking = rate(point, new, training, options)
+    fresh = [e for e in table if e.identity not in state.dropped]
+    ranking = rate(point, _new(fresh, point.placed), training, options)
     for p in point.placed:
         if p.effect.effect_class == _ONE_LAW:
             same = [e for e in fresh if e.effect_class == _ONE_LAW and e.where == p.effect.where]
             ranking += rate(point, same, training, options, p)
     return sorted(ranking, key=lambda r: -r.gain.mean)
+
+
+def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
+    """Return the effects of a table that may act beside those of a model."""
+    known = {p.effect.identity for p in placed}
+    rubbed = {w for p in placed if p.effect.effect_class == _ONE_LAW for w in p.effect.where}
+    fresh = [e for e in table if e.identity not in known]
+    return [e for e in fresh if e.effect_class != _ONE_LAW or not rubbed.intersection(e.where)]
 
 
 def _with(
@@ -221,11 +226,50 @@ def _rated(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | Non
     before = training.judged(whole.at, whole.own, whole.acting)
     after = training.judged(rest.at, rest.own, rest.acting, placed)
     base, amplitudes = len(rest.own[0]), len(placed.amplitudes)
-    gain = gain_of(before, after, base, amplitudes, training.blocks.record)
+    found = _coefficients(before), _coefficients(after)
+    left = [
+        _left(found[0], whole.own, whole.at.missing),
+        _left(found[1], _beside(rest, placed), rest.at.missing),
+    ]
+    change = [one - other for one, other in zip(*left, strict=True)]
+    size = block_sums(training.blocks, change)
+    gain = gain_of(before, after, size, base, amplitudes, training.blocks.record)
     taken = gain.mean * len(gain.blocks)
-    acting = sum(float(np.sum(f * f)) for f in whole.at.acting)
-    force = float(np.sqrt(max(taken, 0.0) / max(acting, np.finfo(float).tiny)))
+    force = _force_share(whole, rest, placed, found)
     return Rated(placed, gain, taken / whole.squares, force, instead_of)
+
+
+def _force_share(
+    whole: Beside, rest: Beside, placed: Placed, coefficients: tuple[Array, Array]
+) -> float:
+    """Return the force that an effect takes over the inputs' force, RMS, without weights.
+
+    It is the largest of all DOF. `coefficients` are those of both models, fitted with weights.
+    """
+    plain = whole.training.plain()
+    one, other = plain.at(whole.at.point), plain.at(rest.at.point)
+    more = plain.effect_columns(other, placed)
+    columns = [np.concatenate(pair) for pair in zip(plain.columns(other), more, strict=True)]
+    before = _left(coefficients[0], plain.columns(one), one.missing)
+    after = _left(coefficients[1], columns, other.missing)
+    squares = [sum(np.sum(x * x, axis=0) for x in values) for values in (before, after, one.acting)]
+    taken = np.maximum(np.subtract(squares[0], squares[1]), 0.0)
+    return float(np.sqrt(np.max(taken / np.maximum(squares[2], np.finfo(float).tiny))))
+
+
+def _beside(rest: Beside, placed: Placed) -> list[Array]:
+    """Return the columns of a model and one more effect, each record (C, rows, n)."""
+    more = rest.training.effect_columns(rest.at, placed)
+    return [np.concatenate(pair) for pair in zip(rest.own, more, strict=True)]
+
+
+def _coefficients(columns: Columns) -> Array:
+    return fitted(columns.grams.sum(axis=(0, 1)), columns.prior)
+
+
+def _left(coefficients: Array, columns: Sequence[Array], missing: Sequence[Array]) -> list[Array]:
+    """Return what columns leave of the missing force of each record."""
+    return [m - np.tensordot(coefficients, c, 1) for c, m in zip(columns, missing, strict=True)]
 
 
 def _without_idle(state: _State, training: Training, options: SearchOptions) -> _State:
@@ -270,8 +314,7 @@ def _against_rivals(state: _State, training: Training, options: SearchOptions) -
         if own is None or _free(own) or len(state.rated) < 2:
             continue
         kept = tuple(p for p in state.point.placed if p is not own)
-        known = {p.effect.identity for p in kept}
-        rivals = [e for e in (own.effect, *rated.contenders) if e.identity not in known]
+        rivals = [own.effect, *_new(rated.contenders, kept)]
         rivals = list({e.identity: e for e in rivals}.values())
         rest = training.fit(replace(state.point, placed=kept))
         ranking = rate(rest, rivals, training, options)

@@ -13,10 +13,11 @@ class SearchOptions:
     the scatter uncertain, more make the blocks shorter than what an effect needs to show.
 
     standard_errors: the mean gain of blocks that did not fit an effect, over its standard error,
-    from which on it is no chance.
+    from which on it is no chance: one in 30,000, as the best of a hundred candidates is judged.
 
     least_gain: share of the squared missing force that an effect must take to matter (0.1 is 5 % of
-    its RMS). least_force: the same as a force, over the force of the inputs.
+    its RMS). least_force: the force that it must take over the force of the inputs, RMS: below the
+    band's limit, what a held input does between samples is known to 1 % at worst.
 
     alike: two effects whose gains differ by less than this many standard errors are not told apart.
 
@@ -30,7 +31,7 @@ class SearchOptions:
     """
 
     blocks: int = 24
-    standard_errors: float = 3.0
+    standard_errors: float = 4.0
     least_gain: float = 0.1
     least_force: float = 0.005
     alike: float = 1.0

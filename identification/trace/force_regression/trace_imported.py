@@ -161,7 +161,7 @@ def _traced(
         for point in (declared, found.point)
     )
     whole = Beside.of(found.point, training)
-    left = residual_of_richest(found.point, fitted, _plain_columns(whole, fitted))
+    left = residual_of_richest(found.point, fitted, _plain_columns(whole))
     acting = [r.input_force(found.point.model) for r in fitted]
     free_form = 100.0 * _rms(left) / _rms([f - f.mean(axis=0) for f in acting])
     return ForceTrace(
@@ -181,7 +181,7 @@ def _weighed(
     training = Training(fitted, plain, blocks)
     point = training.first_fit(start)
     beside = Beside.of(point, training)
-    left = residual_of_richest(point, fitted, _plain_columns(beside, fitted))
+    left = residual_of_richest(point, fitted, _plain_columns(beside))
     white = whitening_of(left, fitted[0].band.row_s, limit_hz)
     # If the columns contain the inputs' force, its gain is free, and masses set the scale.
     pushed = np.concatenate([f.reshape(-1) for f in beside.at.acting])
@@ -191,13 +191,10 @@ def _weighed(
     return training, training.first_fit(point)
 
 
-def _plain_columns(beside: Beside, fitted: tuple[ForceRecord, ...]) -> list[Array]:
+def _plain_columns(beside: Beside) -> list[Array]:
     """Return the columns of a model without weights, each record (C, rows, n)."""
-    n = fitted[0].kept[0].shape[1]
-    limit_hz = fitted[0].band.cutoff_hz
-    plain = Whitening(np.array([0.0, limit_hz]), np.ones((2, n)), limit_hz)
-    training = replace(beside.training, whitening=plain)
-    return training.columns(training.at(beside.at.point))
+    plain = beside.training.plain()
+    return plain.columns(plain.at(beside.at.point))
 
 
 def _training_below(

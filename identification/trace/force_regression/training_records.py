@@ -153,6 +153,12 @@ class Training:
             found.append(np.concatenate(mine) if mine else np.zeros((0, record.rows, n)))
         return found
 
+    def plain(self) -> Training:
+        """Return the same records without weights."""
+        n, limit_hz = self.records[0].kept[0].shape[1], self.whitening.cutoff_hz
+        flat = Whitening(np.array([0.0, limit_hz]), np.ones((2, n)), limit_hz)
+        return replace(self, whitening=flat)
+
     def acting_columns(self, at: Evaluated) -> list[Array]:
         """Return the changes of the inputs' force by all free numbers, as `columns`."""
         point = at.point

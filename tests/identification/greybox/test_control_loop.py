@@ -10,8 +10,10 @@ from scipy.signal import lfilter
 
 from levid.config.base import ConfigError, parse_text
 from levid.config.model import ModelConfig
+from levid.identification.checks_before_fit import check_before_fit
 from levid.identification.greybox.experiment_from_log import Experiment, experiment_from_log
 from levid.identification.greybox.identify_greybox import identify_grey_box
+from levid.identification.options import Options
 from levid.log.importing.importer import import_file
 from levid.log.importing.signals_yaml import SignalsFile
 from levid.log.reader import read_log
@@ -116,7 +118,8 @@ def test_wrong_controller_is_noticed(tmp_path: Path, factor: float, fits: float)
 def test_unstable_plant_is_identified_in_its_loop(tmp_path: Path, text: str, metric: str) -> None:
     """Its pole is at 24.5 1/s: a simulation without its loop would grow by e^147."""
     config = parse_text(MODEL, ModelConfig, "model")
-    grey = identify_grey_box(config, [imported(tmp_path, text)], 0.25)
+    e = imported(tmp_path, text)
+    grey = identify_grey_box(config, [e], 0.25)
     for name, true in (("m", MASS), ("up", UP)):
         found = grey.fitted.parameters[name]
         assert found.se is not None
@@ -126,8 +129,10 @@ def test_unstable_plant_is_identified_in_its_loop(tmp_path: Path, text: str, met
     assert check.metric == metric
     assert check.error_percent[0] < 20.0
     assert check.force_percent[0] < 20.0
-    declared = any("Declare the loop" in text for text in grey.remarks)
-    assert declared == (text == "")
+    # The declared model is unstable already, so this is known before the fit.
+    before = check_before_fit((), [e], config, Options())
+    assert any("no loop is declared" in remark for remark in before) == (text == "")
+    assert not any("Declare the loop" in remark for remark in grey.remarks)
 
 
 @pytest.mark.parametrize(

@@ -221,3 +221,27 @@ def test_response_of_markov_parameters_is_their_z_transform():
     z = np.exp(2j * np.pi * 3.0 * 0.01)
     found = markov_parameters.markov_response(g, np.array([3.0]), 0.01)
     np.testing.assert_allclose(found[0, 0, 0], 1 / z + 0.5 / z**2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("limit", [markov_parameters.DENSE_ELEMENTS, 0])
+@pytest.mark.parametrize("method", sorted(markov_parameters.ESTIMATORS))
+def test_nested_estimates_equal_estimates_of_each_length(monkeypatch, method, limit):
+    monkeypatch.setattr(markov_parameters, "DENSE_ELEMENTS", limit)
+    rng = np.random.default_rng(5)
+    records = [
+        _record(rng.normal(size=(rows, 2)), rng.normal(size=(rows, 3)), at_rest=True)
+        for rows in (150, 200)
+    ]
+    found = markov_parameters.nested_estimates(records, (24, 12, 6), method)
+    assert list(found) == [24, 12, 6]
+    for length, g in found.items():
+        alone = markov_parameters.estimate_markov(records, length, method).g
+        # Conjugate gradients converge to 1e-8.
+        np.testing.assert_allclose(g, alone, atol=1e-7 * np.abs(alone).max())
+
+
+def test_nested_estimates_leave_out_lengths_that_a_sine_does_not_determine():
+    t = np.arange(400.0)
+    v = (np.sin(0.3 * t) + np.sin(1.1 * t))[:, None]
+    record = _record(v, v.copy(), at_rest=False)
+    assert list(markov_parameters.nested_estimates([record], (8, 4), "least_squares")) == [4]

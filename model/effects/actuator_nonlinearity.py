@@ -21,9 +21,10 @@ from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .operating_range import Extent
 from .point_force_conversion import heights
 
-_LEVELS = tuple(0.5 * k for k in range(2, 25))
+_LEVELS = tuple(0.5 * k for k in range(6, 29))
 """Start values of the largest command over the step: half a step apart at the largest command."""
-_MOST_LEVELS = 60.0
+_FEWEST_LEVELS, _MOST_LEVELS = 2.0, 60.0
+"""Bounds of the same. With fewer levels, a dead zone or a saturation looks like a converter."""
 _TWO_AMPLITUDES = "excitation of one actuator at a time, at two amplitudes"
 _LINEAR = "the part linear around the mean command: gain; the mean: constant force"
 
@@ -78,7 +79,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "force = F + depth (round(F / step) step - F)",
                 (Quantity("depth", "1", 0.0, 1.0),),
                 partial(_quantised, coil=c),
-                (Quantity("step", unit, largest / _MOST_LEVELS, 4 * largest, log=True),),
+                (
+                    Quantity(
+                        "step", unit, largest / _MOST_LEVELS, largest / _FEWEST_LEVELS, log=True
+                    ),
+                ),
                 tuple((largest / levels,) for levels in _LEVELS),
                 absorbed_by="step far below the command's changes: force noise",
                 told_apart_by="small slow excitation",

@@ -25,6 +25,10 @@ Coils = tuple[int, ...]
 _SHARES, _WEIGHTS = ((0.0694318442, 0.3300094782, 0.6699905218, 0.9305681558),
                      (0.1739274226, 0.3260725774, 0.3260725774, 0.1739274226))  # fmt: skip
 """Gauss-Legendre nodes and weights on a period, four points."""
+_LIMITS = (0.85, 0.5, 0.25)
+"""Start values of a limit over the largest command. The rig reports commands at its limits; other
+plants may be driven far into saturation, where a squared characteristic would fit better at 0.85.
+"""
 _TOLD_APART = "excitation of the coils one by one, at two amplitudes"
 
 
@@ -32,6 +36,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return dead zone and saturation of every coil, and common ones of all coils."""
     found = []
     unit, largest = places.coil_unit, extent.command
+    limits = _LIMITS[:1] if places.beam else _LIMITS
     single = [((c,), "") for c in range(places.coils)]
     together = [(tuple(range(places.coils)), ", same for all coils")] if places.coils > 1 else []
     for coils, suffix in single + together:
@@ -63,7 +68,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     Quantity("limit", unit, 0.1 * largest, 10 * largest, log=True),
                     Quantity("hardness", "1", 1.0, 40.0, log=True),
                 ),
-                ((0.85 * largest, 6.0),),
+                tuple((share * largest, 6.0) for share in limits),
                 absorbed_by="not visible far below the limit",
                 told_apart_by=places.worded(_TOLD_APART),
                 shape_of_unit_amplitude=_whole_saturation,

@@ -139,9 +139,9 @@ def test_undeclared_effect_is_found_with_its_amplitude(
     assert pooled(found.before)[0] > 3 * pooled(found.after)[0]
 
 
-def test_saturation_far_below_its_initial_grid_is_found(tmp_path: Path) -> None:
-    # The grid has one limit, 0.85 of the largest command. A hard limit at half of this loses more
-    # force than an amplitude of one explains.
+def test_saturation_far_below_the_largest_command_is_found(tmp_path: Path) -> None:
+    # The limit is 0.27 of the largest command. A squared characteristic that flattens explains 0.97
+    # of what this saturation explains at its start values.
     logs = [
         imported(tmp_path, f"clipped-{i}", flown(i, rms_n, clip_n=4.0))
         for i, rms_n in enumerate(RMS_N)

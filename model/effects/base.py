@@ -63,6 +63,9 @@ class Places:
     input_names: tuple[str, ...] = ()
     """Names of the actuators (C,), with which a plant that is not the rig names their location."""
 
+    force_units: tuple[str, ...] = ()
+    """Units of the generalised forces (n,), if they are not those of the inputs."""
+
     @property
     def coils(self) -> int:
         """Number of actuators, C."""
@@ -104,7 +107,8 @@ class Places:
 
     def force_unit(self, index: int) -> str:
         """Unit of the generalised force that belongs to a DOF."""
-        return self.input_units[index] if index < len(self.input_units) else "1"
+        units = self.force_units or self.input_units
+        return units[index] if index < len(units) else "1"
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ Iron teeth attract the magnets, so the force is periodic in the pole or slot pit
 current (Zhu and Howe, *Influence of design parameters on cogging torque in permanent magnet
 machines*, IEEE Trans. Energy Conversion 15, 2000). A rotary motor has the same equation over its
 angle. The travel is taken as four standard deviations of the motion. Start values of the pitch are
-half a cycle over the travel apart, from half a cycle to 20 cycles over it. If a DOF in rad or deg
+half a cycle over the travel apart, from two to 20 cycles over it: with fewer it is a nonlinear
+stiffness, or gravity on an arm. If a DOF in rad or deg
 travels farther than 20 periods of a pitch, such a pitch is searched only among the first 20
 harmonics of a revolution. Signature: depends on the position only, not on speed, direction or
 command.
@@ -23,7 +24,7 @@ from .operating_range import Extent
 
 _TRAVEL = 4.0
 """Travel over the standard deviation of a motion."""
-_FEWEST, _MOST, _APART = 0.5, 20.0, 0.5
+_FEWEST, _MOST, _APART = 2.0, 20.0, 0.5
 """Cycles over the travel: fewest, most, and between neighbouring start values."""
 _HARMONICS = 20
 _REVOLUTION = {"rad": 2 * math.pi, "deg": 360.0}
@@ -45,7 +46,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "force = a sin(2 pi q / pitch) + b cos(2 pi q / pitch)",
                 (Quantity("a", places.force_unit(i)), Quantity("b", places.force_unit(i))),
                 partial(_cogging, dof=i),
-                (Quantity("pitch", unit, 0.5 * min(pitches), 2 * max(pitches), log=True),),
+                (Quantity("pitch", unit, 0.5 * min(pitches), max(pitches), log=True),),
                 tuple((pitch,) for pitch in pitches),
                 absorbed_by="pitch longer than the travel: stiffness and constant force",
                 told_apart_by="slow motion over many pitches, in both directions",

@@ -54,7 +54,7 @@ class BandLimited:
     """One record below `cutoff_hz`.
 
     derivatives: 0 .. 3 of the outputs, each (N, n), at every row. `kept`: the rows that count,
-    without the ends, about eight per period of the limit. spectrum (F, p) and line: the extended
+    without the ends. spectrum (F, p) and line: the extended
     input before the low-pass. schedule: mean of each scheduling variable.
     """
 
@@ -73,8 +73,13 @@ class BandLimited:
     schedule: Mapping[str, float]
 
     @classmethod
-    def of(cls, e: Experiment, hold: Hold, cutoff_hz: float) -> BandLimited:
-        """Return a record below a limit; raises IdentificationError if its schedule moves."""
+    def of(
+        cls, e: Experiment, hold: Hold, cutoff_hz: float, oversampled: float = _OVERSAMPLED
+    ) -> BandLimited:
+        """Return a record below a limit; raises IdentificationError if its schedule moves.
+
+        oversampled: rate of the rows that are kept, over the limit, at least.
+        """
         if e.moving:
             raise IdentificationError(
                 f"record '{e.name}': expected a constant schedule for the force balance, "
@@ -88,7 +93,7 @@ class BandLimited:
         y, line_y = _spectrum(e.y, before, length, Ts_s)
         u, line_u = _spectrum(e.u, before, length, Ts_s)
         edge = min(math.ceil(_EDGE / (cutoff_hz * Ts_s)), int(_MOST_EDGE * rows))
-        stride = max(int(1.0 / (_OVERSAMPLED * cutoff_hz * Ts_s)), 1)
+        stride = max(int(1.0 / (oversampled * cutoff_hz * Ts_s)), 1)
         t = np.arange(length) * Ts_s
         derivatives = []
         for k in range(DERIVATIVES):

@@ -21,6 +21,8 @@ from ..records.record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 
+_OVERSAMPLED = 4.0
+"""Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
 _Part = tuple[Array | None, Array | None, tuple[Array, Array, Array] | None]
 """Filtered force, commands, and reading error with two derivatives of one term."""
 
@@ -60,7 +62,7 @@ class ForceRecord:
     def of(cls, record: TraceRecord, hold: Hold, cutoff_hz: float) -> ForceRecord:
         """Return a record below a limit; raises IdentificationError if its schedule moves."""
         e = record.experiment
-        band = BandLimited.of(e, hold, cutoff_hz)
+        band = BandLimited.of(e, hold, cutoff_hz, _OVERSAMPLED)
         q, qd, qdd = band.derivatives[:3]
         none = np.zeros(len(q))
         signals = Signals(

@@ -128,13 +128,14 @@ class Columns:
 class Gain:
     """Squared errors that an effect takes of blocks that did not fit it (B,).
 
-    size (B,): square of the change of the model's force in each block, with all blocks fitted.
-    mean and standard_error are per block. `others`: for each record, what the columns take of it if
+    before (B,): those without it. size (B,): square of the change of the model's force in each
+    block, with all blocks fitted. mean and standard_error are per block. `others`: for each record, what the columns take of it if
     only the other records fit them, nan where these do not determine them (halves, if there is one
     record).
     """
 
     blocks: Array
+    before: Array
     size: Array
     others: Array
 
@@ -147,14 +148,18 @@ class Gain:
     def standard_error(self) -> float:
         """Standard error of the mean, from the scatter about a gain in proportion to `size`.
 
-        A large effect in one block and a small one in another scatter little if both are as
-        expected. Blocks in which little happens do not count as blocks.
+        What is expected of a block follows from the others. So a large effect in one block and a
+        small one in another scatter little if they agree, and one block alone tells nothing.
         """
-        expected = self.size * (self.blocks.sum() / max(self.size.sum(), np.finfo(float).tiny))
-        active = self.size.sum() ** 2 / max(float(self.size @ self.size), np.finfo(float).tiny)
-        scatter = float(np.sum((self.blocks - expected) ** 2))
-        scatter *= active / max(active - 1.0, 1.0 / len(self.blocks))
-        return float(np.sqrt(scatter)) / len(self.blocks)
+        tiny = np.finfo(float).tiny
+        others = self.size.sum() - self.size
+        expected = self.size * (self.blocks.sum() - self.blocks) / np.maximum(others, tiny)
+        return float(np.linalg.norm(self.blocks - expected)) / len(self.blocks)
+
+    @property
+    def share(self) -> float:
+        """Part of the squared error without the effect that it takes."""
+        return float(self.blocks.sum() / max(self.before.sum(), np.finfo(float).tiny))
 
     @property
     def statistic(self) -> float:
@@ -183,7 +188,8 @@ def gain_of(
     The first `base` columns of `after` are the model's own, then follow those of the amplitudes of
     the effect that is judged, then of its shape, which is held where other records foretell one.
     """
-    blocks = before.left_out_errors() - after.left_out_errors()
+    without_it = before.left_out_errors()
+    blocks = without_it - after.left_out_errors()
     groups = record if len(set(record.tolist())) > 1 else np.arange(len(record)) * 2 // len(record)
     few = after.only(range(base + amplitudes))
     kinds = np.unique(groups)
@@ -199,7 +205,7 @@ def gain_of(
             small = _with_fixed(own, base, extra)
             prior = _with_fixed(few.prior, base, 0.0 * extra)
             others[i] = at_home - squared_errors(small, fitted(small, prior))
-    return Gain(blocks, size, others)
+    return Gain(blocks, without_it, size, others)
 
 
 def _with_fixed(gram: Array, base: int, extra: Array) -> Array:

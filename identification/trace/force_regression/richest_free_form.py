@@ -34,6 +34,8 @@ def residual_of_richest(
     whole = [_columns(r, point) for r in records]
     missing = [r.missing_force(point) for r in records]
     left = [np.zeros_like(m) for m in missing]
+    # Two rows per period of the limit are independent.
+    independent = sum(2.0 * r.rows * r.band.row_s * r.band.cutoff_hz for r in records)
     for i in range(missing[0].shape[1]):
         A = np.vstack(
             [
@@ -43,8 +45,7 @@ def residual_of_richest(
         )
         b = np.concatenate([_centred(m[:, i : i + 1]) for m in missing])
         A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
-        # Eight rows per period of the limit make two independent ones of four.
-        most = int(len(A) / (4.0 * _ROWS_PER_NUMBER))
+        most = int(independent / _ROWS_PER_NUMBER)
         U, size, _ = np.linalg.svd(A, full_matrices=False)
         U = U[:, (size > 1e-8 * size[0]) & (np.arange(len(size)) < max(most, 1))]
         rest = (b - U @ (U.T @ b))[:, 0]

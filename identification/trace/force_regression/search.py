@@ -33,11 +33,11 @@ _ONE_LAW = "friction"
 class Rated:
     """A candidate with fitted numbers, and its gain over the model at that time.
 
-    share: the part of the squared missing force that it takes; force: the force that it takes over
-    the inputs' force, RMS, of the DOF where that is largest. instead_of: the effect whose place
-    it takes. contenders: all that were fitted in the same round. `alternatives` are not told apart
-    from it; `support`: share of bootstrap samples of the blocks in which one of its class and place
-    gains most of all.
+    share: the part of the squared missing force that it takes. force: by how much it lowers the RMS
+    missing force over the inputs' force, at the DOF where that is most. instead_of: the effect
+    whose place it takes. contenders: all that were fitted in the same round. `alternatives` are not
+    told apart from it. support: share of bootstrap samples of the blocks in which one of its class
+    and place gains most of all.
     """
 
     placed: Placed
@@ -234,17 +234,17 @@ def _rated(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | Non
     change = [one - other for one, other in zip(*left, strict=True)]
     size = block_sums(training.blocks, change)
     gain = gain_of(before, after, size, base, amplitudes, training.blocks.record)
-    taken = gain.mean * len(gain.blocks)
     force = _force_share(whole, rest, placed, found)
-    return Rated(placed, gain, taken / whole.squares, force, instead_of)
+    return Rated(placed, gain, gain.share, force, instead_of)
 
 
 def _force_share(
     whole: Beside, rest: Beside, placed: Placed, coefficients: tuple[Array, Array]
 ) -> float:
-    """Return the force that an effect takes over the inputs' force, RMS, without weights.
+    """Return by how much an effect lowers the RMS missing force, over the inputs' force.
 
-    It is the largest of all DOF. `coefficients` are those of both models, fitted with weights.
+    It is without weights, and the largest of all DOF. `coefficients` are those of both models,
+    fitted with weights.
     """
     plain = whole.training.plain()
     one, other = plain.at(whole.at.point), plain.at(rest.at.point)
@@ -252,9 +252,11 @@ def _force_share(
     columns = [np.concatenate(pair) for pair in zip(plain.columns(other), more, strict=True)]
     before = _left(coefficients[0], plain.columns(one), one.missing)
     after = _left(coefficients[1], columns, other.missing)
-    squares = [sum(np.sum(x * x, axis=0) for x in values) for values in (before, after, one.acting)]
-    taken = np.maximum(np.subtract(squares[0], squares[1]), 0.0)
-    return float(np.sqrt(np.max(taken / np.maximum(squares[2], np.finfo(float).tiny))))
+    sizes = [
+        np.sqrt(np.sum([np.sum(x * x, axis=0) for x in values], axis=0))
+        for values in (before, after, one.acting)
+    ]
+    return float(np.max((sizes[0] - sizes[1]) / np.maximum(sizes[2], np.finfo(float).tiny)))
 
 
 def _beside(rest: Beside, placed: Placed) -> list[Array]:

@@ -16,8 +16,8 @@ class SearchOptions:
     from which on it is no chance: one in 30,000, as the best of a hundred candidates is judged.
 
     least_gain: share of the squared missing force that an effect must take to matter (0.1 is 5 % of
-    its RMS). least_force: the force that it must take over the force of the inputs, RMS: below the
-    band's limit, what a held input does between samples is known to 1 % at worst.
+    its RMS). least_force: by how much it must lower the RMS missing force over the force of the
+    inputs: below the band's limit, what a held input does between samples is known to 1 % at worst.
 
     alike: two effects whose gains differ by less than this many standard errors are not told apart.
 

@@ -13,6 +13,7 @@ from ....config.model import ModelConfig
 from ....config.rig import Geometry, RigConfig
 from ....log.reader import Log
 from ....model.effects.base import Places
+from ....model.effects.force_units import force_units
 from ....model.geometry import shape_matrix
 from ...greybox.experiment_from_log import Experiment, coil_excitation, experiment_from_log
 from ...greybox.noise_model import Filter
@@ -189,6 +190,12 @@ def imported_places(model: ModelConfig) -> Places:
         np.zeros((0, 2)),
         beam=False,
         input_names=tuple(q.name for q in model.inputs),
+        force_units=force_units(
+            model.B,
+            [q.unit for q in model.inputs],
+            {name: p.unit for name, p in model.parameters.items()},
+            len(model.dof),
+        ),
     )
 
 

@@ -1,0 +1,61 @@
+"""Derive the units of a model's generalised forces from its input matrix and the inputs' units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+_NAME = re.compile(r"-?\s*([A-Za-z_]\w*)")
+
+
+def force_units(
+    B: Sequence[Sequence[float | str]] | None,
+    input_units: Sequence[str],
+    parameter_units: Mapping[str, str],
+    rows: int,
+) -> tuple[str, ...]:
+    """Return the unit of the force in each of `rows` equations, B times an input.
+
+    The first input of an equation decides. An entry of B that is a number leaves the input's unit,
+    one that is a parameter multiplies it: N/V times V is N. Another entry tells nothing: the unit
+    is 1. Without B, each input acts on its own equation.
+    """
+    if B is None:
+        units = [*input_units, *["1"] * rows]
+        return tuple(units[:rows])
+    return tuple(_unit_of(row, input_units, parameter_units) for row in B)
+
+
+def _unit_of(
+    row: Sequence[float | str], input_units: Sequence[str], parameter_units: Mapping[str, str]
+) -> str:
+    for entry, unit in zip(row, input_units, strict=False):
+        text = str(entry).strip()
+        if _number(text) == 0.0:
+            continue
+        if _number(text) is not None:
+            return unit
+        found = _NAME.fullmatch(text)
+        if found is None or found[1] not in parameter_units:
+            return "1"
+        return _times(parameter_units[found[1]], unit)
+    return "1"
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _times(gain: str, unit: str) -> str:
+    """Return the product of a gain's unit and an input's, without what cancels."""
+    if gain == "1":
+        return unit
+    if unit == "1":
+        return gain
+    for ending in (f"/{unit}", f"/({unit})"):
+        if gain.endswith(ending):
+            return gain.removesuffix(ending)
+    return f"{gain} {unit}"

@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 _RIDGE = 1e-10
 """Relative to the columns' squares: keeps parallel columns solvable, far above rounding."""
 
+_NOISE_DEVIATIONS = 2.0
+"""An effect of size s gains s, with a standard deviation of 2 sqrt(s) by noise of unit variance."""
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -129,9 +132,9 @@ class Gain:
     """Squared errors that an effect takes of blocks that did not fit it (B,).
 
     before (B,): those without it. size (B,): square of the change of the model's force in each
-    block, with all blocks fitted. mean and standard_error are per block. `others`: for each record, what the columns take of it if
-    only the other records fit them, nan where these do not determine them (halves, if there is one
-    record).
+    block, with all blocks fitted. mean and standard_error are per block. others: for each record,
+    what the effect takes of it if only the other records fit it, nan where these do not determine
+    it (halves, if there is one record).
     """
 
     blocks: Array
@@ -189,7 +192,9 @@ def gain_of(
     the effect that is judged, then of its shape, which is held where other records foretell one.
     """
     without_it = before.left_out_errors()
-    blocks = without_it - after.left_out_errors()
+    # A block without which the model itself is another one gains more than the effect does in it.
+    most = size + 2.0 * _NOISE_DEVIATIONS * np.sqrt(size)
+    blocks = np.minimum(without_it - after.left_out_errors(), most)
     groups = record if len(set(record.tolist())) > 1 else np.arange(len(record)) * 2 // len(record)
     few = after.only(range(base + amplitudes))
     kinds = np.unique(groups)

@@ -85,7 +85,7 @@ def trace_imported(
     records that are too short, or whose schedule moves.
     """
     progress("reading logs", 0.0)
-    records, notes = read_records(logs, config)
+    records, notes = read_records(logs, config, 0.0)
     return trace_records(list(records.values()), config, effects, progress, options, notes)
 
 

@@ -14,17 +14,17 @@ from ....config.model import ModelConfig
 from ....log.reader import read_log
 from ...records.duplicate_logs import DuplicateCheck
 from ...records.record import IdentificationError, NotARecordError
-from .record_from_log import IMPORTED, SHORTEST_S, TraceRecord, trace_record
+from .record_from_log import SHORTEST_S, TraceRecord, trace_record
 
 
 def read_records(
-    logs: Sequence[Path], config: ModelConfig
+    logs: Sequence[Path], config: ModelConfig, shortest_s: float = SHORTEST_S
 ) -> tuple[dict[Path, TraceRecord], tuple[str, ...]]:
     """Return the records of the logs by path, with unique names, and notes.
 
-    Duplicate logs are used once. Records with a frozen sensor are skipped: the loop acted on a
-    constant reading, and the error is meaningless. Notes list skipped logs with the reason, and the
-    remarks of records.
+    Duplicate logs are used once. Records under `shortest_s` are skipped, and those with a frozen
+    sensor: the loop acted on a constant reading, and the error is meaningless. Notes list skipped
+    logs with the reason, and the remarks of records.
 
     Raises IdentificationError without records, and as trace_record does.
     """
@@ -38,8 +38,7 @@ def read_records(
         log = read_log(path)
         try:
             record = trace_record(log, config)
-            if record.kind != IMPORTED:
-                _require_long(record, path)
+            _require_long(record, path, shortest_s)
             require_live(record, path)
         except NotARecordError as reason:
             notes.append(str(reason))
@@ -84,11 +83,11 @@ def _with_unique_names(records: dict[Path, TraceRecord]) -> dict[Path, TraceReco
     return named
 
 
-def _require_long(record: TraceRecord, path: Path) -> None:
+def _require_long(record: TraceRecord, path: Path, shortest_s: float) -> None:
     seconds = record.rows * record.experiment.Ts_s
-    if seconds < SHORTEST_S:
+    if seconds < shortest_s:
         raise NotARecordError(
-            f"{path.name}: left out: expected at least {SHORTEST_S:g} s, found {seconds:.2g} s"
+            f"{path.name}: left out: expected at least {shortest_s:g} s, found {seconds:.2g} s"
         )
 
 

@@ -32,9 +32,12 @@ _KEY = re.compile(
 )
 _EXCURSION = 3.0
 """Largest excursion over the standard deviation, of position and command."""
-_GAPS, _GAP_BOUNDS = (1.5, 4.0, 12.0), (1.2, 30.0)
-_CURRENTS, _CURRENT_BOUNDS = (0.7, 3.0), (0.1, 30.0)
-"""Start values and bounds of y0 and i0, over the largest excursion of position and command."""
+_GAPS, _GAP_BOUNDS = (1.5, 4.0), (1.2, 10.0)
+_CURRENTS, _CURRENT_BOUNDS = (0.7, 3.0), (0.1, 6.0)
+"""Start values and bounds of y0 and i0, over the largest excursion of position and command.
+
+With a longer gap and a larger current, the equation would be that of a quadratic stiffness.
+"""
 _LEAST_GAP = 0.05
 """During a fit, simulated poses can exceed the measured range: least gap over y0."""
 
@@ -90,31 +93,19 @@ def _force(
     y0 = Quantity("y0", unit, least * largest, most * largest, log=True)
     least, most = _CURRENT_BOUNDS
     i0 = Quantity("i0", places.coil_unit, least * command, most * command, log=True)
-    amplitudes: tuple[Quantity, ...] = (Quantity("c", force),)
-    ratio = f"g = y0 / (y0 {'+' if way == 'opens' else '-'} y), y = q - q_m, i = F - F_m"
-    if a == 1:
-        equation = f"force = c g^{b} + gain i g^{b}, less its linear part; {ratio}"
-        per = places.coil_unit if places.coil_unit.isalpha() else f"({places.coil_unit})"
-        amplitudes += (Quantity("gain", f"{force}/{per}"),)
-    else:
-        current = "(i0 + i)" if at[1] >= 0.0 else "(i0 - i)"
-        equation = f"force = c ({current} / i0)^2 g^{b}, less its linear part; {ratio}"
+    gap = f"(y0 {'+' if way == 'opens' else '-'} y)"
+    current = f"(i0 {'+' if at[1] >= 0.0 else '-'} i)"
     return Effect(
         f"magnetic_force.{law}.{way}[{at[0]:g},{at[1]:g}]",
         f"Magnetic force, current^{a} over gap^{b}, gap {way} with the position",
         "magnetic_force",
         (places.dof[dof], places.actuator(coil)),
-        equation,
-        amplitudes,
-        partial(
-            _linear if a == 1 else _squared, dof=dof, coil=coil, sign=_SIGNS[way], at=at, power=b
-        ),
-        (y0,) if a == 1 else (y0, i0),
-        tuple(
-            (gap * largest,) if a == 1 else (gap * largest, current * command)
-            for gap in _GAPS
-            for current in (_CURRENTS if a == 2 else (1.0,))
-        ),
+        f"force = c (({current} / i0)^{a} (y0 / {gap})^{b}, less its linear part); y = q - q_m, "
+        "i = F - F_m",
+        (Quantity("c", force),),
+        partial(_magnetic, dof=dof, coil=coil, law=law, sign=_SIGNS[way], at=at),
+        (y0, i0),
+        tuple((y * largest, i * command) for y in _GAPS for i in _CURRENTS),
         absorbed_by="the linear part: stiffness, gain and constant force",
         told_apart_by="excitation at several positions and mean commands",
     )
@@ -134,35 +125,20 @@ def _spread(extent: Extent, coil: int) -> float:
     return extent.commands[coil][1] if extent.commands else extent.command / _EXCURSION
 
 
-def _linear(
+def _magnetic(
     signals: Signals,
     shape: Sequence[float],
     *,
     dof: int,
     coil: int,
+    law: str,
     sign: float,
     at: tuple[float, float],
-    power: int,
 ) -> list[Term]:
-    x = sign * (signals.q[:, dof] - at[0]) / shape[0]
-    more = _over_gap(x, power) - 1
-    i = _current(signals, coil) - at[1]
-    return [on_dof(signals, dof, more + power * x), on_dof(signals, dof, i * more)]
-
-
-def _squared(
-    signals: Signals,
-    shape: Sequence[float],
-    *,
-    dof: int,
-    coil: int,
-    sign: float,
-    at: tuple[float, float],
-    power: int,
-) -> list[Term]:
+    a, b = _LAWS[law]
     x = sign * (signals.q[:, dof] - at[0]) / shape[0]
     r = (1.0 if at[1] >= 0.0 else -1.0) * (_current(signals, coil) - at[1]) / shape[1]
-    force = (1 + r) ** 2 * _over_gap(x, power) - 1 - 2 * r + power * x
+    force = (1 + r) ** a * _over_gap(x, b) - 1 - a * r + b * x
     return [on_dof(signals, dof, force)]
 
 

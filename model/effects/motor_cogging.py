@@ -5,10 +5,9 @@ current (Zhu and Howe, *Influence of design parameters on cogging torque in perm
 machines*, IEEE Trans. Energy Conversion 15, 2000). A rotary motor has the same equation over its
 angle. The travel is taken as four standard deviations of the motion. Start values of the pitch are
 half a cycle over the travel apart, from two to 20 cycles over it: with fewer it is a nonlinear
-stiffness, or gravity on an arm. If a DOF in rad or deg
-travels farther than 20 periods of a pitch, such a pitch is searched only among the first 20
-harmonics of a revolution. Signature: depends on the position only, not on speed, direction or
-command.
+stiffness, or gravity on an arm. If a DOF in rad or deg travels farther than 20 periods of a pitch,
+such a pitch is searched only among the first 20 harmonics of a revolution. Signature: depends on
+the position only, not on speed, direction or command.
 """
 
 from __future__ import annotations

@@ -148,13 +148,10 @@ def magnet(current: int, gap: int, way: float) -> Law:
         at_q, at_F = working_point(f"magnetic_force.i{current}_y{gap}.opens")
 
         def full(q, F):
-            if current == 1:
-                c, gain, y0 = values
-                return (c + gain * (F - at_F)) * (y0 / (y0 + way * (q - at_q))) ** gap
             c, y0, i0 = values
             # The mean command is negative: a more negative command is a larger current.
             ratio = (i0 - (F - at_F)) / i0
-            return c * ratio**2 * (y0 / (y0 + way * (q - at_q))) ** gap
+            return c * ratio**current * (y0 / (y0 + way * (q - at_q))) ** gap
 
         h = 1e-5
         by_q = (full(at_q + h, at_F) - full(at_q - h, at_F)) / (2 * h)
@@ -281,7 +278,7 @@ def test_magnetic_force_follows_the_lagged_current():
         **{**vars(s), "lag_s": 0.0, "coil": lagged_mean(s.coil[:, 0], LAG_S, TS)[:, None]}
     )
     shape = effect.grid[0]
-    np.testing.assert_allclose(effect.build(s, shape)[1].force, effect.build(late, shape)[1].force)
+    np.testing.assert_allclose(effect.build(s, shape)[0].force, effect.build(late, shape)[0].force)
 
 
 def test_unknown_contact_force_of_a_play_decays_as_the_play_is_passed():

@@ -57,18 +57,10 @@ class Play:
         return -self._stiffness * (q - self._at)
 
 
-def magnet(c: float, y0: float, i0: float, sign: float, power: int) -> Added:
+def magnet(c: float, y0: float, i0: float, sign: float, a: int, b: int) -> Added:
     def added(q: float, _v: float, u: float) -> float:
         x, r = sign * q / y0, u / i0
-        return c * ((1 + r) ** 2 / (1 + x) ** power - 1 - 2 * r + power * x)
-
-    return added
-
-
-def steady_magnet(c: float, gain: float, y0: float, sign: float) -> Added:
-    def added(q: float, _v: float, u: float) -> float:
-        x = sign * q / y0
-        return (c + gain * u) / (1 + x) ** 4 - c * (1 - 4 * x) - gain * u
+        return c * ((1 + r) ** a / (1 + x) ** b - 1 - a * r + b * x)
 
     return added
 
@@ -100,22 +92,22 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
         ),
     ),
     "magnetic_force.i2_y2.opens[0,0]": (
-        (1.0,), (2.5, 20.0), lambda: magnet(1.0, 2.5, 20.0, 1.0, 2),
+        (1.0,), (2.5, 20.0), lambda: magnet(1.0, 2.5, 20.0, 1.0, 2, 2),
     ),
     "magnetic_force.i2_y2.closes[0,0]": (
-        (1.0,), (2.5, 20.0), lambda: magnet(1.0, 2.5, 20.0, -1.0, 2),
+        (1.0,), (2.5, 20.0), lambda: magnet(1.0, 2.5, 20.0, -1.0, 2, 2),
     ),
     "magnetic_force.i2_y4.opens[0,0]": (
-        (1.0,), (3.0, 20.0), lambda: magnet(1.0, 3.0, 20.0, 1.0, 4),
+        (1.0,), (3.0, 20.0), lambda: magnet(1.0, 3.0, 20.0, 1.0, 2, 4),
     ),
     "magnetic_force.i2_y4.closes[0,0]": (
-        (-1.0,), (3.0, 20.0), lambda: magnet(-1.0, 3.0, 20.0, -1.0, 4),
+        (-1.0,), (3.0, 20.0), lambda: magnet(-1.0, 3.0, 20.0, -1.0, 2, 4),
     ),
     "magnetic_force.i1_y4.opens[0,0]": (
-        (1.0, 0.3), (3.0,), lambda: steady_magnet(1.0, 0.3, 3.0, 1.0),
+        (1.0,), (3.0, 5.0), lambda: magnet(1.0, 3.0, 5.0, 1.0, 1, 4),
     ),
     "magnetic_force.i1_y4.closes[0,0]": (
-        (1.0, 0.3), (3.0,), lambda: steady_magnet(1.0, 0.3, 3.0, -1.0),
+        (1.0,), (3.0, 5.0), lambda: magnet(1.0, 3.0, 5.0, -1.0, 1, 4),
     ),
     "actuator.squared": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * abs(u)),
     "actuator.quadratic": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * u),

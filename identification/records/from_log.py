@@ -199,6 +199,7 @@ def imported_record(log: Log) -> Record:
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
         feedback=signals.loop is not None,
+        held=signals.input_hold == "zoh",
         remarks=(*truncation_remarks(log), *_import_remarks(log, (*inputs, *outputs))),
     )
 

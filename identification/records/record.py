@@ -51,7 +51,8 @@ class Record:
     `controller` is the controller of the loop; None in open loop or if unknown.
     `delay_cycles` is the number of whole cycles between an input and its first effect; None if
     unknown (the output may then react in the cycle of its input). `feedback`: the input depends on
-    the output, by an unknown controller unless `controller` is given. `at_rest`: v = 0 before the
+    the output, by an unknown controller unless `controller` is given. `held`: the input rests
+    between rows. `at_rest`: v = 0 before the
     first row, and y had settled to a constant. `remarks` describe events in the record that a
     linear model does not include. `input_units` are the units of v and u.
     """
@@ -70,6 +71,7 @@ class Record:
     controller: PiController | None = None
     delay_cycles: int | None = None
     feedback: bool = False
+    held: bool = False
     at_rest: bool = False
     remarks: tuple[str, ...] = ()
 
@@ -77,6 +79,15 @@ class Record:
     def leading_zeros(self) -> int:
         """Number of Markov parameters that the hold and the delay make zero."""
         return 0 if self.delay_cycles is None else self.delay_cycles + 1
+
+    @property
+    def direct(self) -> bool:
+        """Whether an output may depend on the input of its own row.
+
+        In a loop the input of a row may depend on that row's output, and a held input acts after
+        it: a direct term would take the controller for the plant, and bias all others.
+        """
+        return not (self.feedback and self.held)
 
     @property
     def excited(self) -> NDArray[np.bool_]:

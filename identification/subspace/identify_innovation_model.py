@@ -27,7 +27,7 @@ They make data without noise solvable (PBSID adds as much to its Gram matrices).
 class ObserverMarkov:
     """y(k) = D v(k) + sum_i [b(i) a(i)] [v(k-i) y(k-i)] + e: Markov parameters of a predictor.
 
-    `blocks` (s, m, p + m) for i = 1..s, D (m, p).
+    `blocks` (s, m, p + m) for i = 1..s, D (m, p); D is zero for records without a direct term.
     """
 
     blocks: Array
@@ -40,13 +40,14 @@ class StateSequence:
 
     `singular_values` (k,) measure that share, descending. `triangle` is the R of the QR of
     [v(k) x(k) | x(k+1) y(k)] over all `rows` rows with `inputs` inputs; every model is fitted from
-    it.
+    it. direct: whether y(k) may depend on v(k).
     """
 
     singular_values: Array
     triangle: Array
     rows: int
     inputs: int
+    direct: bool = True
 
 
 def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> ObserverMarkov:
@@ -58,7 +59,8 @@ def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> Observe
     than two rows per parameter.
     """
     p, m = records[0].v.shape[1], records[0].y.shape[1]
-    possible = [s for s in candidates if 2 * (s * (p + m) + p) < _rows_with(records, s)]
+    first = p if _direct(records) else 0
+    possible = [s for s in candidates if 2 * (s * (p + m) + first) < _rows_with(records, s)]
     if not possible:
         total = sum(len(r.y) for r in records)
         raise IdentificationError(
@@ -69,7 +71,7 @@ def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> Observe
     rows = _rows_with(records, longest)
 
     def akaike(past: int) -> float:
-        columns = p + past * (p + m)
+        columns = first + past * (p + m)
         error = R[columns:, -m:]
         size = np.linalg.slogdet(error.T @ error / rows)[1]
         return float(size + 2.0 * m * columns / rows)
@@ -77,8 +79,9 @@ def choose_past(records: Sequence[Record], candidates: Sequence[int]) -> Observe
     past = min(possible, key=akaike)
     if past < longest:
         R = _observer_triangle(records, past)
-    theta = _solve(R, p + past * (p + m), m)
-    return ObserverMarkov(theta[p:].reshape(past, p + m, m).transpose(0, 2, 1), theta[:p].T)
+    theta = _solve(R, first + past * (p + m), m)
+    blocks = theta[first:].reshape(past, p + m, m).transpose(0, 2, 1)
+    return ObserverMarkov(blocks, theta[:first].T if first else np.zeros((m, p)))
 
 
 def state_sequence(
@@ -109,7 +112,8 @@ def state_sequence(
         return np.hstack([record.v[k], x[:-1], x[1:], record.y[k]])
 
     R = _rounded(triangle(step(r, k) for r, k in steps))
-    return StateSequence(s[:count], R, sum(k.stop - k.start for _, k in steps), inputs)
+    rows = sum(k.stop - k.start for _, k in steps)
+    return StateSequence(s[:count], R, rows, inputs, _direct(records))
 
 
 def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> InnovationModel:
@@ -128,8 +132,13 @@ def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> Innova
     R = sequence.triangle[:, chosen]
     theta = _solve(R[: p + n], p + n, R.shape[1] - p - n)
     error = R[p + n :, p + n :]
-    covariance = error.T @ error / sequence.rows
     A, B, C, D = theta[p:, :n].T, theta[:p, :n].T, theta[p:, n:].T, theta[:p, n:].T
+    if not sequence.direct:
+        R = triangle([R[:, [*range(p, p + n), *range(p), *range(p + n, R.shape[1])]]])
+        C, D = _solve(R[:n], n, R.shape[1] - p - 2 * n).T, np.zeros_like(D)
+        error = R[n:, p + n :].copy()
+        error[:p, :n] = 0.0  # of the states, the inputs explain these rows
+    covariance = error.T @ error / sequence.rows
     Q, S, R = covariance[:n, :n], covariance[:n, n:], covariance[n:, n:]
     # A trace of process noise in every direction keeps the Riccati equation solvable.
     Q = Q + 1e-12 * np.trace(Q) * np.eye(n)
@@ -142,6 +151,10 @@ def innovation_model(sequence: StateSequence, order: int, Ts_s: float) -> Innova
     e_covariance = C @ P @ C.T + R
     K = np.asarray(np.linalg.solve(e_covariance, (A @ P @ C.T + S).T).T, dtype=np.float64)
     return InnovationModel(StateSpace(A, B, C, D, Ts_s), K, e_covariance)
+
+
+def _direct(records: Sequence[Record]) -> bool:
+    return all(r.direct for r in records)
 
 
 def _rows_with(records: Sequence[Record], past: int) -> int:
@@ -161,9 +174,15 @@ def _past(record: Record, past: int, k: slice) -> Array:
 
 
 def _observer_triangle(records: Sequence[Record], past: int) -> Array:
-    """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], recent samples first."""
+    """Return R of the QR of [v(k) z(k-1) ... z(k-past) | y(k)], recent samples first.
+
+    v(k) is left out for records without a direct term.
+    """
     blocks = ((r, k) for r in records for k in _blocks(past, len(r.y)))
-    R = triangle(np.hstack([r.v[k], _past(r, past, k), r.y[k]]) for r, k in blocks)
+    direct = _direct(records)
+    R = triangle(
+        np.hstack([*([r.v[k]] if direct else []), _past(r, past, k), r.y[k]]) for r, k in blocks
+    )
     p = records[0].v.shape[1]
     # Dependent outputs (no noise) are regularised; dependent inputs are an error.
     if not independent(R[:p, :p], 1e-13):

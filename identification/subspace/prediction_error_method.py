@@ -116,7 +116,8 @@ def refine_innovations(
     """
     inputs = [np.hstack([r.v, r.y]) for r in records]
     p = records[0].v.shape[1]
-    data = _scaled(inputs, [r.y for r in records], p)
+    at_once = p if all(r.direct for r in records) else 0
+    data = _scaled(inputs, [r.y for r in records], at_once)
     result = _search(start.predictor(), data, coloured=False, trial=trial)
     if result is None:
         return None

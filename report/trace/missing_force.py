@@ -19,12 +19,12 @@ _AFTER = LineStyle(colour("blue"), width=1.0, zorder=4)
 
 
 def missing_force(trace: ForceTrace, *, sheet: Sheet = PAGE) -> Figure:
-    """Draw the inputs' force and the missing one, a row per DOF, in the longest reported record."""
+    """Draw the acting force and the missing one, a row per DOF, in the longest reported record."""
     record = max(trace.reported, key=lambda r: r.rows)
-    acting = record.input_force(trace.found.point.model)
+    acting = record.acting_force(trace.found.point)
     before, after = (record.missing_force(p) for p in (trace.declared, trace.found.point))
     legend = [
-        entry("force of the inputs", _ACTING),
+        entry("acting force", _ACTING),
         entry("missing before", _BEFORE),
         entry("missing after", _AFTER),
     ]

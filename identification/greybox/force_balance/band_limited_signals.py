@@ -34,6 +34,8 @@ _ABOVE_NOISE = 10.0
 _MOST_OF_RATE: dict[Hold, float] = {"zoh": 0.177, "foh": 0.24, "band_limited": 0.35}
 """Highest limit over the rate. At f the alias of a mass is (f / (rate - f))^3 with a zero-order
 hold, which is 1 % at 0.177, and ^4 with a first-order hold. A band-limited input has none."""
+_NOISE_SHARE = 0.01
+"""Largest part of noise in the power of an acceleration."""
 _EDGE = 2.0
 """Rows left out at each end of a record, in periods of the upper limit."""
 _MOST_EDGE = 0.1
@@ -184,6 +186,22 @@ def upper_limit(experiment: Experiment, hold: Hold) -> float:
         last = len(above) if above.all() else max(int(np.argmin(above)), 1)
         limit = min(limit, float(freq_hz[1:][last - 1]))
     return max(limit, 4.0 / (rows * Ts_s))
+
+
+def acceleration_limit(experiment: Experiment, sd: Array) -> float:
+    """Return the frequency in Hz below which noise is 1 % of the power of every acceleration.
+
+    sd (n,): white noise of the outputs. Noise in a regressor lowers its coefficient by this share.
+    """
+    Ts_s, rows = experiment.Ts_s, len(experiment.y)
+    segment = max(rows // 4, min(rows, SHORTEST_ROWS))
+    freq_hz, psd = welch(detrend(experiment.y, axis=0), 1 / Ts_s, nperseg=segment, axis=0)
+    curvature = freq_hz[:, None] ** 4
+    seen = np.cumsum(curvature * psd, axis=0)
+    noise = np.cumsum(curvature * 2.0 * Ts_s * sd**2 * np.ones_like(psd), axis=0)
+    good = np.all(noise <= _NOISE_SHARE * seen, axis=1)
+    found = freq_hz[good][-1] if np.any(good) else 0.0
+    return max(float(found), 4.0 / (rows * Ts_s))
 
 
 def middle_limit(experiments: Sequence[Experiment], hold: Hold) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,25 +19,22 @@ Array = NDArray[np.float64]
 _EVALUATIONS = 25
 _DIFFERENCE = 1e-3
 _FELL = 1e-4
-_TOLD = 1e-6
-"""Least part of the inputs' force beside the columns, above rounding."""
 
 
 @dataclass(frozen=True)
 class Beside:
     """A model's columns and missing force, and what of the latter its columns do not explain.
 
-    own, acting: of each record (F, rows, n), change of missing and of acting force. Q: orthonormal
-    basis of the columns over all records. scale: the inputs' force without them, of norm one (0 if
-    they contain it). rest: the missing force without them.
+    own: of each record (F, rows, n). groups: of each record (F, 3, rows, n), changes of the forces
+    of inputs, inertia and all else. Q: orthonormal basis of `own` over all records. rest: the
+    missing force without them.
     """
 
     at: Evaluated
     training: Training
     own: list[Array]
-    acting: list[Array]
+    groups: list[Array]
     Q: Array
-    scale: Array
     rest: Array
 
     @classmethod
@@ -49,12 +47,7 @@ class Beside:
         Q, R = np.linalg.qr(base[:, size > 0.0] / size[size > 0.0])
         Q = Q[:, np.abs(np.diag(R)) > 1e-10]
         whole = np.concatenate([m.reshape(-1) for m in at.missing])
-        pushed = np.concatenate([f.reshape(-1) for f in at.acting])
-        scale = pushed - Q @ (Q.T @ pushed)
-        scale = scale / max(float(np.linalg.norm(scale)), _TOLD * float(np.linalg.norm(pushed)))
-        return cls(
-            at, training, own, training.acting_columns(at), Q, scale, whole - Q @ (Q.T @ whole)
-        )
+        return cls(at, training, own, training.group_columns(at), Q, whole - Q @ (Q.T @ whole))
 
     @property
     def squares(self) -> float:
@@ -65,28 +58,50 @@ class Beside:
         """Return columns (rows, c) without their part in the model's columns."""
         return np.asarray(X - self.Q @ (self.Q.T @ X))
 
-    def forces(self, effect: Effect, shape: Shape, keep: bool = False) -> Array:
-        """Return the forces of an effect's amplitudes as columns (rows of all records, c)."""
-        return flat(self.training.forces(self.at, effect, shape, keep))
+    def fitted(self, effect: Effect, shape: Shape, told: float, keep: bool = False) -> _Fit:
+        """Return the best amplitudes of an effect at a shape, and what they leave."""
+        forces, pull = self.training.forces(self.at, effect, shape, keep)
+        X = flat(forces)
+        left = self.without(X)
+        amplitudes = _amplitudes(effect, X, left, self.rest, told)
+        shrinks = (self.at.share > 1.0) | (amplitudes @ pull < 0.0)
+        if np.any(shrinks):
+            pull = np.where(shrinks, pull, 0.0)
+            pairs = zip(forces, self.at.missing, strict=True)
+            left = self.without(flat([f + pull[:, None, :] * m for f, m in pairs]))
+            amplitudes = _amplitudes(effect, X, left, self.rest, told)
+        return _Fit(X, left, amplitudes, np.asarray(self.rest - left @ amplitudes))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Forces of an effect (rows, c), those beside the model, amplitudes (c,), and the rest."""
+
+    X: Array
+    left: Array
+    amplitudes: Array
+    rest: Array
 
 
 def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: float) -> float | None:
     """Return the squared error that an effect takes at a shape.
 
-    None if less than `told_from_model` of its squared force remains beside the model's columns and
-    the force of all inputs: it is then a change of the model's parameters, or of the scale of all
-    actuators.
+    None if less than `told_from_model` of its squared force remains beside the model's columns, or
+    beside the force of the inputs, of inertia, or of all else: it is then a change of the model's
+    parameters, or of the scale of one of these.
     """
-    X = flat(beside.training.forces(beside.at, effect, shape, keep=True, plain=True))
-    left = beside.without(X)
-    left = left - beside.scale[:, None] * (beside.scale @ left)
-    remains = np.sum(left * left, axis=0) > told_from_model * np.sum(X * X, axis=0)
-    if not np.any(remains):
+    fit = beside.fitted(effect, shape, told_from_model, keep=True)
+    whole = np.sum(fit.X * fit.X, axis=0)
+    remains = np.sum(fit.left * fit.left, axis=0)
+    n = len(beside.at.power)
+    for kind, i in product(range(3), range(n)):
+        one = np.arange(n) == i
+        group = np.concatenate([(g[kind] * one).reshape(-1) for g in beside.at.groups])
+        along = (group @ fit.X) ** 2 / max(float(group @ group), np.finfo(float).tiny)
+        remains = np.minimum(remains, whole - along)
+    if not np.any(remains > told_from_model * whole):
         return None
-    X = beside.forces(effect, shape, keep=True)
-    left = beside.without(X)
-    amplitudes = _amplitudes(effect, X, left, beside.rest, told_from_model)
-    return float(beside.squares - np.sum((beside.rest - left @ amplitudes) ** 2))
+    return float(beside.squares - fit.rest @ fit.rest)
 
 
 def fitted_candidate(
@@ -95,14 +110,8 @@ def fitted_candidate(
     """Return an effect with the numbers that leave least, from a start shape; None if it does
     nothing."""
 
-    def at(x: Array) -> tuple[Array, Array]:
-        X = beside.forces(effect, _shape(effect.shape, x))
-        left = beside.without(X)
-        amplitudes = _amplitudes(effect, X, left, beside.rest, told_from_model)
-        return amplitudes, np.asarray(beside.rest - left @ amplitudes)
-
     def residual(x: Array) -> Array:
-        return at(x)[1]
+        return beside.fitted(effect, _shape(effect.shape, x), told_from_model).rest
 
     x = _coordinates(effect.shape, shape)
     if len(x):
@@ -119,7 +128,7 @@ def fitted_candidate(
             ftol=_FELL,
         )
         x = found.x
-    amplitudes, _ = at(x)
+    amplitudes = beside.fitted(effect, _shape(effect.shape, x), told_from_model).amplitudes
     if not np.any(amplitudes):
         return None
     return Placed(effect, _shape(effect.shape, x), tuple(amplitudes.tolist()))

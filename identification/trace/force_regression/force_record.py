@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 _OVERSAMPLED = 4.0
 """Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
+_INERTIA = "inertia"
+"""Class of the effects whose force is in proportion to accelerations."""
 _Part = tuple[Array | None, Array | None, tuple[Array, Array, Array] | None]
 """Filtered force, commands, and reading error with two derivatives of one term."""
 
@@ -107,29 +109,50 @@ class ForceRecord:
 
         keep: whether the filtered signals are kept for the next call.
         """
-        at = model.at(self.band.schedule)
-        parts = self._parts_of(model, effect, shape, keep)
-        forces = np.zeros((len(parts), *self.kept[0].shape))
-        for i, (plain, held, false) in enumerate(parts):
-            if plain is not None:
-                forces[i] += plain
-            if held is not None:
-                forces[i] += held @ at.B.T
-            if false is not None:  # the true motion is the readings less their error
-                forces[i] += false[2] @ at.M.T + false[1] @ at.D.T + false[0] @ at.K.T
-        return forces
+        changes = self.group_changes(model, effect, shape, keep)
+        return np.asarray(changes[:, 0] - changes[:, 1] - changes[:, 2])
 
-    def held_forces(
+    def groups(self, point: ForceModel) -> Array:
+        """Return the force of the inputs, of inertia, and of all else (3, rows, n).
+
+        Each includes the effects of its kind. The first less the others is what the model lacks.
+        """
+        at = point.model.at(self.band.schedule)
+        q, qd, qdd, _ = self.kept
+        groups = np.stack([self.input_force(point.model), qdd @ at.M.T, qd @ at.D.T + q @ at.K.T])
+        for p in point.placed:
+            more = self.group_changes(point.model, p.effect, p.shape)
+            groups = groups + np.tensordot(np.array(p.amplitudes), more, 1)
+        return groups
+
+    def acting_force(self, point: ForceModel) -> Array:
+        """Return the force of the inputs (rows, n) without its mean.
+
+        Where an equation has no input, it is the force of inertia or of all else, the larger one.
+        """
+        groups = self.groups(point)
+        groups = groups - groups.mean(axis=1, keepdims=True)
+        sizes = groups.std(axis=1)
+        chosen = np.where(sizes[0] > 0.0, 0, np.argmax(sizes, axis=0))
+        return np.stack([groups[k, :, i] for i, k in enumerate(chosen.tolist())], axis=1)
+
+    def group_changes(
         self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
     ) -> Array:
-        """Return the part of `effect_forces` that adds to the inputs (amplitudes, rows, n)."""
+        """Return the change of `groups` by each amplitude (amplitudes, 3, rows, n)."""
         at = model.at(self.band.schedule)
-        return np.stack(
-            [
-                np.zeros_like(self.kept[0]) if held is None else held @ at.B.T
-                for _, held, _ in self._parts_of(model, effect, shape, keep)
-            ]
-        )
+        kind = 1 if effect.effect_class == _INERTIA else 2
+        parts = self._parts_of(model, effect, shape, keep)
+        changes = np.zeros((len(parts), 3, *self.kept[0].shape))
+        for i, (plain, held, false) in enumerate(parts):
+            if held is not None:
+                changes[i, 0] += held @ at.B.T
+            if plain is not None:
+                changes[i, kind] -= plain
+            if false is not None:
+                changes[i, 1] -= false[2] @ at.M.T
+                changes[i, 2] -= false[1] @ at.D.T + false[0] @ at.K.T
+        return changes
 
     def force_of_command(self, model: DeclaredModel, held: Array) -> Array:
         """Return the force (rows, n) of additions to the inputs (N, p)."""

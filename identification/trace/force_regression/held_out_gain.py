@@ -88,31 +88,31 @@ def squared_errors(gram: Array, coefficients: Array) -> Array:
 
 @dataclass(frozen=True)
 class Columns:
-    """A model's Gram matrices: what blocks say of its numbers, and how these change what acts.
+    """A model's Gram matrices: what blocks say of its numbers, and how these change its forces.
 
-    grams (B, n, C + 1, C + 1): of [columns, missing force] in each block, by DOF. acting (n, C + 1,
-    C + 1): of [change of the inputs' force by each number, the inputs' force] over all blocks.
-    prior (C + 1, C + 1): of the columns.
+    grams (B, n, C + 1, C + 1): of [columns, missing force] in each block, by DOF. power (n, C + 1,
+    C + 1): of [change by each number of the forces that set the scale, these forces] over all
+    blocks. prior (C + 1, C + 1): of the columns.
     """
 
     grams: Array
-    acting: Array
+    power: Array
     prior: Array
 
     def left_out_errors(self) -> Array:
         """Return each block's squared error (B,) by the coefficients of all other blocks.
 
-        The error of each DOF is relative to the force that then acts on it: a model in which all
-        forces are small explains nothing.
+        The error of each DOF counts more where the model's forces become smaller: a model in which
+        all forces are small explains nothing.
         """
         together = self.grams.sum(axis=1)
         coefficients = fitted(together.sum(axis=0) - together, self.prior)
         errors = squared_errors(self.grams, coefficients[:, None])
         whole = np.column_stack([coefficients, np.ones(len(errors))])
-        power = np.einsum("bi,nij,bj->bn", whole, self.acting, whole)
-        plain = self.acting[:, -1, -1]
-        relative = plain / np.maximum(power, 1e-12 * np.maximum(plain, np.finfo(float).tiny))
-        return np.asarray(np.sum(errors * np.where(plain > 0.0, relative, 1.0), axis=1))
+        power = np.einsum("bi,nij,bj->bn", whole, self.power, whole)
+        now = self.power[:, -1, -1]
+        relative = now / np.maximum(power, 1e-12 * np.maximum(now, np.finfo(float).tiny))
+        return np.asarray(np.sum(errors * np.maximum(relative, 1.0), axis=1))
 
     def over(self, inside: NDArray[np.bool_]) -> Array:
         """Return the Gram matrix (C + 1, C + 1) of some blocks, over all DOF."""
@@ -123,21 +123,43 @@ class Columns:
         pick = [*columns, len(self.prior) - 1]
         rows, across = np.ix_(pick, pick)
         return Columns(
-            self.grams[:, :, rows, across], self.acting[:, rows, across], self.prior[rows, across]
+            self.grams[:, :, rows, across], self.power[:, rows, across], self.prior[rows, across]
         )
+
+
+def error_of_mean(gains: Array, size: Array) -> float:
+    """Return the standard error of the mean of gains (B,) by effects of a size (B,), squared.
+
+    It is the scatter about gains in proportion to the size. What is expected of a block follows
+    from the others: a large effect in one block and a small one in another scatter little if they
+    agree, and one block alone tells nothing.
+    """
+    others = np.maximum(size.sum() - size, np.finfo(float).tiny)
+    expected = size * (gains.sum() - gains) / others
+    return float(np.linalg.norm(gains - expected)) / len(gains)
+
+
+def bounded(gains: Array, size: Array) -> Array:
+    """Return gains (B,), at most what an effect of the size (B,) may gain.
+
+    A block without which the model itself is another one gains more than the effect does in it.
+    """
+    most = size + 2.0 * _NOISE_DEVIATIONS * np.sqrt(size)
+    return np.clip(gains, -most, most)
 
 
 @dataclass(frozen=True)
 class Gain:
     """Squared errors that an effect takes of blocks that did not fit it (B,).
 
-    before (B,): those without it. size (B,): square of the change of the model's force in each
-    block, with all blocks fitted. mean and standard_error are per block. others: for each record,
-    what the effect takes of it if only the other records fit it, nan where these do not determine
-    it (halves, if there is one record).
+    raw (B,): the same without the bound by what the effect does in a block. before (B,): squared
+    errors without the effect. size (B,): square of the change of the model's force in each block,
+    with all blocks fitted. others: for each record, what the effect takes of it if only the other
+    records fit it, nan where these do not determine it (halves, if there is one record).
     """
 
     blocks: Array
+    raw: Array
     before: Array
     size: Array
     others: Array
@@ -149,15 +171,8 @@ class Gain:
 
     @property
     def standard_error(self) -> float:
-        """Standard error of the mean, from the scatter about a gain in proportion to `size`.
-
-        What is expected of a block follows from the others. So a large effect in one block and a
-        small one in another scatter little if they agree, and one block alone tells nothing.
-        """
-        tiny = np.finfo(float).tiny
-        others = self.size.sum() - self.size
-        expected = self.size * (self.blocks.sum() - self.blocks) / np.maximum(others, tiny)
-        return float(np.linalg.norm(self.blocks - expected)) / len(self.blocks)
+        """Standard error of the mean."""
+        return error_of_mean(self.blocks, self.size)
 
     @property
     def share(self) -> float:
@@ -192,9 +207,8 @@ def gain_of(
     the effect that is judged, then of its shape, which is held where other records foretell one.
     """
     without_it = before.left_out_errors()
-    # A block without which the model itself is another one gains more than the effect does in it.
-    most = size + 2.0 * _NOISE_DEVIATIONS * np.sqrt(size)
-    blocks = np.minimum(without_it - after.left_out_errors(), most)
+    raw = without_it - after.left_out_errors()
+    blocks = np.minimum(raw, bounded(raw, size))
     groups = record if len(set(record.tolist())) > 1 else np.arange(len(record)) * 2 // len(record)
     few = after.only(range(base + amplitudes))
     kinds = np.unique(groups)
@@ -210,7 +224,7 @@ def gain_of(
             small = _with_fixed(own, base, extra)
             prior = _with_fixed(few.prior, base, 0.0 * extra)
             others[i] = at_home - squared_errors(small, fitted(small, prior))
-    return Gain(blocks, without_it, size, others)
+    return Gain(blocks, raw, without_it, size, others)
 
 
 def _with_fixed(gram: Array, base: int, extra: Array) -> Array:

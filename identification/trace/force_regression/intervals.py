@@ -26,7 +26,7 @@ def standard_errors(point: ForceModel, training: Training, others: Sequence[Trai
     columns = training.columns(at)
     size = np.linalg.norm(flat(columns), axis=0)
     size = np.where(size > 0.0, size, 1.0)
-    grams = training.judged(at, columns, training.acting_columns(at))
+    grams = training.judged(at, columns, training.group_columns(at))
     scale = np.append(size, 1.0)
     blocks = grams.grams.sum(axis=1) / scale[:, None] / scale
     prior = grams.prior / scale[:, None] / scale

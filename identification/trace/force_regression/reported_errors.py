@@ -83,7 +83,7 @@ def reported_error(
 ) -> ReportedError:
     """Return the errors of a model on a record; seen: the same record below the band's limit."""
     missing = seen.missing_force(point)
-    acting = seen.input_force(point.model)
+    acting = seen.acting_force(point)
     e = record.experiment
     error, settled = np.full(e.y.shape[1], np.nan), True
     if metric_of(point.model, e) == "free_run":

@@ -18,7 +18,7 @@ _TURNS = (0.02, 0.15)
 """Speeds at which a friction turns, over the RMS speed."""
 _WIDE = 3.0
 """Range of a polynomial in standard deviations; outside it is constant."""
-_ROWS_PER_NUMBER = 10.0
+_ROWS_PER_NUMBER = 5.0
 """Independent rows for each number of the free form, at least."""
 
 
@@ -45,10 +45,13 @@ def residual_of_richest(
         )
         b = np.concatenate([_centred(m[:, i : i + 1]) for m in missing])
         A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
-        most = int(independent / _ROWS_PER_NUMBER)
         U, size, _ = np.linalg.svd(A, full_matrices=False)
-        U = U[:, (size > 1e-8 * size[0]) & (np.arange(len(size)) < max(most, 1))]
-        rest = (b - U @ (U.T @ b))[:, 0]
+        U = U[:, size > 1e-8 * size[0]]
+        # Short records determine only some combinations: those that explain most.
+        most = max(int(independent / _ROWS_PER_NUMBER), 1)
+        U = U[:, np.argsort(-np.abs(U.T @ b)[:, 0])[:most]]
+        # Each number takes the share of a row of what is random.
+        rest = (b - U @ (U.T @ b))[:, 0] / np.sqrt(1.0 - min(U.shape[1] / independent, 0.5))
         at = 0
         for part in left:
             part[:, i] = rest[at : at + len(part)]

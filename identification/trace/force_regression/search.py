@@ -18,9 +18,18 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect, Placed
 from .candidate_fit import Beside, fitted_candidate, taken_at
 from .force_record import ForceModel
-from .held_out_gain import Columns, Gain, block_sums, fitted, gain_of
+from .held_out_gain import (
+    Blocks,
+    Columns,
+    Gain,
+    block_sums,
+    bounded,
+    error_of_mean,
+    fitted,
+    gain_of,
+)
 from .search_options import SearchOptions
-from .training_records import Training, numbers_of
+from .training_records import Training, acting_force, missing_share, numbers_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -33,8 +42,10 @@ _ONE_LAW = "friction"
 class Rated:
     """A candidate with fitted numbers, and its gain over the model at that time.
 
-    share: the part of the squared missing force that it takes. force: by how much it lowers the RMS
-    missing force over the inputs' force, at the DOF where that is most. instead_of: the effect
+    left: what the model with it leaves of the weighed missing force of each record (rows, n).
+    share:
+    the part of the squared missing force that it takes. force: by how much it lowers the RMS
+    missing force over the acting force, at the DOF where that is most. instead_of: the effect
     whose place it takes. contenders: all that were fitted in the same round. `alternatives` are not
     told apart from it. support: share of bootstrap samples of the blocks in which one of its class
     and place gains most of all.
@@ -42,6 +53,7 @@ class Rated:
 
     placed: Placed
     gain: Gain
+    left: tuple[Array, ...]
     share: float
     force: float
     instead_of: Placed | None = None
@@ -79,15 +91,14 @@ def search(
     for number in range(1, options.most_effects + 1):
         progress(f"search, effect {number}", 0.1 + 0.1 * number)
         nearest = _ranking(state, named, training, options)
-        chosen = next((r for r in nearest if confirmed(r, options)), None)
-        if chosen is None:
+        after = _with_best(state, nearest, training, options)
+        if after is None:
             ranking = _ranking(state, free_forms, training, options)
-            chosen = next((r for r in ranking if confirmed(r, options)), None)
-            nearest = sorted([*nearest, *ranking], key=lambda r: -r.gain.mean)
-        if chosen is None:
+            after = _with_best(state, ranking, training, options)
+            nearest = sorted([*nearest, *ranking], key=_order)
+        if after is None:
             break
-        state = _with(state, chosen, nearest, training, options)
-        state = _without_idle(state, training, options)
+        state = _without_idle(after, training, options)
     progress("comparing rivals", 0.8)
     state = _against_rivals(state, training, options)
     last = {p.effect.identity: p for p in state.point.placed}
@@ -98,10 +109,16 @@ def search(
 
 
 def confirmed(rated: Rated, options: SearchOptions) -> bool:
-    """Return whether an effect is no chance, matters, and is not contradicted elsewhere."""
-    surely = rated.gain.statistic > options.standard_errors
-    matters = rated.share > options.least_gain and rated.force > options.least_force
-    return surely and matters and rated.gain.elsewhere
+    """Return whether an effect is no chance, matters, and is not contradicted elsewhere.
+
+    A free form names no law that would hold elsewhere, so other records must confirm it.
+    """
+    gain = rated.gain
+    surely = gain.statistic > options.standard_errors
+    least = options.least_free_gain if _free(rated.placed) else options.least_gain
+    matters = rated.share > least and rated.force > options.least_force
+    asked = not _free(rated.placed) or bool(np.all(np.isfinite(gain.others)))
+    return surely and matters and asked and gain.elsewhere
 
 
 def rate(
@@ -134,7 +151,7 @@ def rate(
         placed = fitted_candidate(rest, effect, shape, options.told_from_model)
         if placed is not None:
             found.append(_rated(whole, rest, placed, instead_of))
-    return sorted(found, key=lambda r: -r.gain.mean)
+    return sorted(found, key=_order)
 
 
 @dataclass(frozen=True)
@@ -157,7 +174,25 @@ def _ranking(
         if p.effect.effect_class == _ONE_LAW:
             same = [e for e in fresh if e.effect_class == _ONE_LAW and e.where == p.effect.where]
             ranking += rate(point, same, training, options, p)
-    return sorted(ranking, key=lambda r: -r.gain.mean)
+    return sorted(ranking, key=_order)
+
+
+def _with_best(
+    state: _State, ranking: Sequence[Rated], training: Training, options: SearchOptions
+) -> _State | None:
+    """Return the state with the best confirmed candidate whose fit does what was foretold.
+
+    Gains are foretold by a line; the fit of all numbers may end elsewhere.
+    """
+    plain = training.plain()
+    before = missing_share(plain.at(state.point))
+    for chosen in ranking:
+        if confirmed(chosen, options):
+            after = _with(state, chosen, ranking, training, options)
+            lowered = before - missing_share(plain.at(after.point))
+            if lowered.max() > options.least_force:
+                return after
+    return None
 
 
 def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
@@ -176,7 +211,7 @@ def _with(
     options: SearchOptions,
 ) -> _State:
     """Return the state with the simplest of those that are not told apart from `chosen`."""
-    best = with_alternatives(chosen, ranking, options)
+    best = with_alternatives(chosen, ranking, training.blocks, options)
     kept = tuple(p for p in state.point.placed if p is not best.instead_of)
     rated = dict(state.rated)
     declared = state.declared
@@ -188,19 +223,21 @@ def _with(
     return _State(point, rated, declared, state.dropped)
 
 
-def with_alternatives(chosen: Rated, ranking: Sequence[Rated], options: SearchOptions) -> Rated:
+def with_alternatives(
+    chosen: Rated, ranking: Sequence[Rated], blocks: Blocks, options: SearchOptions
+) -> Rated:
     """Return the simplest of those that are not told from `chosen`, with the others beside it."""
     alike = [
         r
         for r in ranking
-        if r is chosen or (r.instead_of is chosen.instead_of and _alike(chosen, r, options))
+        if r is chosen or (r.instead_of is chosen.instead_of and _alike(chosen, r, blocks, options))
     ]
     alike = [r for r in alike if confirmed(r, options)]
-    first = min(alike, key=lambda r: (r.numbers, -r.gain.mean))
+    first = min(alike, key=lambda r: (r.numbers, _order(r)))
     rng = np.random.default_rng(0)
-    blocks = np.array([r.gain.blocks for r in ranking])
-    picks = rng.integers(blocks.shape[1], size=(options.resamples, blocks.shape[1]))
-    means = blocks[:, picks].mean(axis=2)
+    gains = np.array([r.gain.raw for r in ranking])
+    picks = rng.integers(gains.shape[1], size=(options.resamples, gains.shape[1]))
+    means = gains[:, picks].mean(axis=2)
     wins = np.where(means.max(axis=0) > 0.0, np.argmax(means, axis=0), -1)
     kinds = [(r.placed.effect.effect_class, r.placed.effect.where) for r in ranking]
     won = [float(np.mean(wins == i)) for i in range(len(ranking))]
@@ -213,35 +250,37 @@ def with_alternatives(chosen: Rated, ranking: Sequence[Rated], options: SearchOp
     return replace(first, support=named[id(first)], alternatives=others, contenders=contenders)
 
 
-def _alike(best: Rated, other: Rated, options: SearchOptions) -> bool:
+def _alike(best: Rated, other: Rated, blocks: Blocks, options: SearchOptions) -> bool:
     """Return whether two candidates gain alike, within the scatter of their difference."""
-    difference = best.gain.blocks - other.gain.blocks
-    error = difference.std(ddof=1) / np.sqrt(len(difference))
-    return bool(difference.mean() <= options.alike * error)
+    change = [one - two for one, two in zip(best.left, other.left, strict=True)]
+    size = block_sums(blocks, change)
+    difference = bounded(best.gain.raw - other.gain.raw, size)
+    return bool(difference.mean() <= options.alike * error_of_mean(difference, size))
 
 
 def _rated(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:
     """Return the gain of an effect beside `rest` over the model of `whole`."""
-    training = rest.training
-    before = training.judged(whole.at, whole.own, whole.acting)
-    after = training.judged(rest.at, rest.own, rest.acting, placed)
+    training, more = rest.training, numbers_of(placed)
+    columns = _beside(rest, placed)
+    before = training.judged(whole.at, whole.own, whole.groups)
+    after = training.judged(rest.at, columns, training.group_columns(rest.at, placed), more)
     base, amplitudes = len(rest.own[0]), len(placed.amplitudes)
     found = _coefficients(before), _coefficients(after)
     left = [
         _left(found[0], whole.own, whole.at.missing),
-        _left(found[1], _beside(rest, placed), rest.at.missing),
+        _left(found[1], columns, rest.at.missing),
     ]
     change = [one - other for one, other in zip(*left, strict=True)]
     size = block_sums(training.blocks, change)
     gain = gain_of(before, after, size, base, amplitudes, training.blocks.record)
     force = _force_share(whole, rest, placed, found)
-    return Rated(placed, gain, gain.share, force, instead_of)
+    return Rated(placed, gain, tuple(left[1]), gain.share, force, instead_of)
 
 
 def _force_share(
     whole: Beside, rest: Beside, placed: Placed, coefficients: tuple[Array, Array]
 ) -> float:
-    """Return by how much an effect lowers the RMS missing force, over the inputs' force.
+    """Return by how much an effect lowers the RMS missing force, over the acting force.
 
     It is without weights, and the largest of all DOF. `coefficients` are those of both models,
     fitted with weights.
@@ -254,9 +293,10 @@ def _force_share(
     after = _left(coefficients[1], columns, other.missing)
     sizes = [
         np.sqrt(np.sum([np.sum(x * x, axis=0) for x in values], axis=0))
-        for values in (before, after, one.acting)
+        for values in (before, after)
     ]
-    return float(np.max((sizes[0] - sizes[1]) / np.maximum(sizes[2], np.finfo(float).tiny)))
+    forces = np.maximum(acting_force(one), np.finfo(float).tiny)
+    return float(np.max((sizes[0] - sizes[1]) / forces))
 
 
 def _beside(rest: Beside, placed: Placed) -> list[Array]:
@@ -297,6 +337,10 @@ def _without_idle(state: _State, training: Training, options: SearchOptions) -> 
     return state
 
 
+def _order(rated: Rated) -> float:
+    return -float(rated.gain.raw.mean())
+
+
 def _free(placed: Placed) -> bool:
     return placed.effect.effect_class == "unknown"
 
@@ -323,7 +367,7 @@ def _against_rivals(state: _State, training: Training, options: SearchOptions) -
         chosen = next((r for r in ranking if confirmed(r, options)), None)
         if chosen is None:
             continue
-        best = with_alternatives(chosen, ranking, options)
+        best = with_alternatives(chosen, ranking, training.blocks, options)
         others = {k: r for k, r in state.rated.items() if k != identity}
         others[best.placed.effect.identity] = best
         point = training.fit(replace(rest, placed=(*kept, best.placed)))

@@ -16,7 +16,9 @@ class SearchOptions:
     from which on it is no chance: one in 30,000, as the best of a hundred candidates is judged.
 
     least_gain: share of the squared missing force that an effect must take to matter (0.1 is 5 % of
-    its RMS). least_force: by how much it must lower the RMS missing force over the force of the
+    its RMS). least_free_gain: the same for a free form, which fits a little of everything.
+
+    least_force: by how much it must lower the RMS missing force over the force of the
     inputs: below the band's limit, what a held input does between samples is known to 1 % at worst.
 
     alike: two effects whose gains differ by less than this many standard errors are not told apart.
@@ -33,6 +35,7 @@ class SearchOptions:
     blocks: int = 24
     standard_errors: float = 4.0
     least_gain: float = 0.1
+    least_free_gain: float = 0.3
     least_force: float = 0.005
     alike: float = 1.0
     told_from_model: float = 1e-3

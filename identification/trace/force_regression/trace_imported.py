@@ -19,6 +19,7 @@ from ...greybox.declared_model_from_config import declared_model
 from ...greybox.force_balance.band_limited_signals import (
     BAND_STEPS,
     SHORTEST_ROWS,
+    acceleration_limit,
     middle_limit,
 )
 from ...greybox.free_parameters import free_parameters
@@ -113,7 +114,9 @@ def _traced(
 ) -> ForceTrace:
     _require_rows(records, options)
     hold = config.input
+    sd, stated = output_noise(records)
     limit_hz = middle_limit([r.experiment for r in records], hold)
+    limit_hz = min(limit_hz, *(acceleration_limit(r.experiment, sd) for r in records))
     parts = [_split(r, options.reported) for r in records]
     train, kept = [p[0] for p in parts], [p[1] for p in parts]
     fitted = tuple(ForceRecord.of(r, hold, limit_hz) for r in train)
@@ -152,7 +155,6 @@ def _traced(
     ]
     errors = standard_errors(found.point, training, others)
     progress("reporting on unseen rows", 0.95)
-    sd, stated = output_noise(records)
     before, after = (
         tuple(
             reported_error(point, record, seen, hold, sd)
@@ -162,8 +164,8 @@ def _traced(
     )
     whole = Beside.of(found.point, training)
     left = residual_of_richest(found.point, fitted, _plain_columns(whole))
-    acting = [r.input_force(found.point.model) for r in fitted]
-    free_form = 100.0 * _rms(left) / _rms([f - f.mean(axis=0) for f in acting])
+    acting = [r.acting_force(found.point) for r in fitted]
+    free_form = 100.0 * _rms(left) / _rms(acting)
     return ForceTrace(
         config, places, declared, found, errors, before, after, free_form, sd, stated, limit_hz,
         fitted, reported, notes, options,
@@ -174,20 +176,18 @@ def _weighed(
     start: ForceModel, fitted: tuple[ForceRecord, ...], limit_hz: float, options: SearchOptions
 ) -> tuple[Training, ForceModel]:
     """Return the training records with their weights, and the model fitted to them."""
-    acting = np.concatenate([r.input_force(start.model) for r in fitted])
-    flat = np.maximum(np.var(acting, axis=0), np.finfo(float).tiny) * np.ones((2, 1))
+    acting = np.concatenate([r.groups(start) for r in fitted], axis=1)
+    flat = np.maximum(np.var(acting, axis=1).max(axis=0), np.finfo(float).tiny) * np.ones((2, 1))
     plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
     blocks = Blocks.of([r.rows for r in fitted], options.blocks)
-    training = Training(fitted, plain, blocks)
+    n = len(start.model.dof)
+    training = Training(fitted, plain, blocks, np.zeros((3, n)))
+    training = training.with_scale(training.at(start), options.told_from_model)
     point = training.first_fit(start)
     beside = Beside.of(point, training)
     left = residual_of_richest(point, fitted, _plain_columns(beside))
     white = whitening_of(left, fitted[0].band.row_s, limit_hz)
-    # If the columns contain the inputs' force, its gain is free, and masses set the scale.
-    pushed = np.concatenate([f.reshape(-1) for f in beside.at.acting])
-    outside = float(np.sum(beside.without(pushed[:, None]) ** 2))
-    relative = outside > options.told_from_model * float(pushed @ pushed)
-    training = Training(fitted, white, blocks, relative)
+    training = replace(training, whitening=white)
     return training, training.first_fit(point)
 
 
@@ -208,7 +208,9 @@ def _training_below(
     records = tuple(ForceRecord.of(r, hold, limit_hz) for r in train)
     missing = [r.missing_force(point) for r in records]
     white = whitening_of([m - m.mean(axis=0) for m in missing], records[0].band.row_s, limit_hz)
-    return Training(records, white, Blocks.of([r.rows for r in records], options.blocks))
+    blocks = Blocks.of([r.rows for r in records], options.blocks)
+    training = Training(records, white, blocks, np.zeros((3, len(point.model.dof))))
+    return training.with_scale(training.at(replace(point, placed=())), options.told_from_model)
 
 
 def _split(record: TraceRecord, reported: float) -> tuple[TraceRecord, TraceRecord]:

@@ -25,6 +25,7 @@ where it was."""
 _STEPS, _HALVINGS = 20, 6
 _CONVERGED = 1e-6
 """Share of the squared residual that a step must take for another one."""
+_TINY = np.finfo(float).tiny
 _DELAYS = (-2.0, -1.0, 1.0, 2.0, 4.0)
 """Delays in rows, beside the model's own, from which a first fit starts."""
 
@@ -36,15 +37,18 @@ def numbers_of(placed: Placed) -> int:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """A model at its present numbers: weighed missing force and acting force of each record.
+    """A model at its present numbers.
 
-    missing, acting: (rows, n). share (n,): the inputs' force without effects over that with them,
-    RMS; missing is multiplied by it.
+    missing: weighed missing force of each record (rows, n), times `share`. groups: weighed forces
+    of inputs, inertia and all else (3, rows, n). power (n,): sum of squares of those that set the
+    scale. share
+    (n,): root of the power without effects over that with them, at least 1.
     """
 
     point: ForceModel
     missing: list[Array]
-    acting: list[Array]
+    groups: list[Array]
+    power: Array
     share: Array
 
     @property
@@ -57,101 +61,93 @@ class Evaluated:
 class Training:
     """The training records with their weights and blocks; columns are free of each record's mean.
 
-    A constant force of each record is unknown, so it is free in every fit.
+    A constant force of each record is unknown, so it is free in every fit. An equation of motion
+    holds times any factor, and some declared number sets its scale. An effect that cancels what
+    sets the scale would lower the error by lowering all forces: so errors count more where effects
+    lower the force that sets the scale.
 
-    relative: errors count relative to the force that acts. If masses are free and the gains of the
-    inputs are not, an effect that takes away from the command would otherwise lower the error by
-    lowering all forces, although nothing tells the scale of all actuators.
+    scale (3, n): whether the force of inputs, of inertia or of all else sets it, 1 or 0.
     """
 
     records: tuple[ForceRecord, ...]
     whitening: Whitening
     blocks: Blocks
-    relative: bool = True
+    scale: Array
 
     def at(self, point: ForceModel) -> Evaluated:
-        """Return the missing force of a model."""
-        model, acting = point.model, []
-        n = self.records[0].kept[0].shape[1]
-        whole, plain = np.zeros(n), np.zeros(n)
-        for r in self.records:
-            given = force = r.input_force(model)
-            for p in point.placed:
-                held = r.held_forces(model, p.effect, p.shape)
-                force = force + np.tensordot(np.array(p.amplitudes), held, 1)
-            acting.append(self._weighed(r, force))
-            whole += np.sum(acting[-1] ** 2, axis=0)
-            if point.placed:
-                plain += np.sum(self._weighed(r, given) ** 2, axis=0)
-        share = np.ones(n)
-        if self.relative and point.placed:
-            share = np.sqrt(np.divide(plain, whole, out=np.ones(n), where=whole > 0.0))
-        missing = [share * self._weighed(r, r.missing_force(point)) for r in self.records]
-        return Evaluated(point, missing, acting, share)
+        """Return the missing force of a model, and the forces that it consists of."""
+        groups = [self._weighed(r, r.groups(point)) for r in self.records]
+        power = self._power(groups)
+        share = np.ones(len(power))
+        if point.placed:
+            bare = replace(point, placed=())
+            plain = self._power([self._weighed(r, r.groups(bare)) for r in self.records])
+            ratio = np.divide(plain, power, out=np.ones(len(power)), where=power > 0.0)
+            share = np.sqrt(np.maximum(ratio, 1.0))
+        missing = [share * (g[1] + g[2] - g[0]) for g in groups]
+        return Evaluated(point, missing, groups, power, share)
 
     def forces(
-        self,
-        at: Evaluated,
-        effect: Effect,
-        shape: Shape,
-        keep: bool = False,
-        plain: bool = False,
-    ) -> list[Array]:
-        """Return the weighed forces of an effect's amplitudes, each record (amplitudes, rows, n).
+        self, at: Evaluated, effect: Effect, shape: Shape, keep: bool = False
+    ) -> tuple[list[Array], Array]:
+        """Return the weighed forces of an effect's amplitudes, and how they change the power.
 
-        They are the change of the missing force: what an effect takes from the force that acts
-        makes the rest count more, unless `plain`. keep: whether filtered signals are kept for the
-        next call.
+        forces: of each record (amplitudes, rows, n). pull (amplitudes, n): relative change of the
+        root of the power by each. keep: whether filtered signals are kept for the next call.
         """
         model = at.point.model
-        forces = [
-            at.share * self._weighed(r, r.effect_forces(model, effect, shape, keep))
-            for r in self.records
+        changes = [
+            self._weighed(r, r.group_changes(model, effect, shape, keep)) for r in self.records
         ]
-        held = [r.held_forces(model, effect, shape, keep) for r in self.records]
-        if not self.relative or plain or not any(np.any(h) for h in held):
-            return forces
-        power = np.sum([np.sum(f * f, axis=0) for f in at.acting], axis=0)
-        power = np.maximum(power, np.finfo(float).tiny)
-        white = [self._weighed(r, h) for r, h in zip(self.records, held, strict=True)]
-        along = sum(np.sum(h * f, axis=1) for h, f in zip(white, at.acting, strict=True)) / power
-        return [
-            f + np.asarray(along)[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)
-        ]
+        return self._forces_of(at, changes)
+
+    def _forces_of(self, at: Evaluated, changes: Sequence[Array]) -> tuple[list[Array], Array]:
+        forces = [at.share * (c[:, 0] - c[:, 1] - c[:, 2]) for c in changes]
+        along = np.sum(
+            [
+                np.sum(c * g * self.scale[:, None], axis=(1, 2))
+                for c, g in zip(changes, at.groups, strict=True)
+            ],
+            axis=0,
+        )
+        return forces, along / np.maximum(at.power, np.finfo(float).tiny)
 
     def effect_columns(self, at: Evaluated, placed: Placed) -> list[Array]:
         """Return the columns of an effect's amplitudes and shape, each record (c, rows, n)."""
-        columns = self.forces(at, placed.effect, placed.shape)
-        for i, q in enumerate(placed.effect.shape):
-            low, high, width = _steps(q, placed.shape, i)
-            lower, upper = (self.forces(at, placed.effect, s) for s in (low, high))
-            a = np.array(placed.amplitudes)
-            columns = [
-                np.concatenate([c, np.tensordot(a, (u - v) / width, 1)[None]])
-                for c, u, v in zip(columns, upper, lower, strict=True)
-            ]
-        return columns
+        forces, pull = self._forces_of(at, self._changes(at, placed))
+        count = len(placed.amplitudes)
+        shrinks = (at.share > 1.0) | (np.array(placed.amplitudes) @ pull[:count] < 0.0)
+        pull = np.where(shrinks, pull, 0.0)
+        return [f + pull[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)]
+
+    def _changes(self, at: Evaluated, placed: Placed) -> list[Array]:
+        """Return the changes of the groups by an effect's amplitudes and shape (c, 3, rows, n)."""
+        model, a, found = at.point.model, np.array(placed.amplitudes), []
+        for r in self.records:
+            own = [r.group_changes(model, placed.effect, placed.shape)]
+            for i, q in enumerate(placed.effect.shape):
+                low, high, width = _steps(q, placed.shape, i)
+                lower, upper = (r.group_changes(model, placed.effect, s) for s in (low, high))
+                own.append(np.tensordot(a, (upper - lower) / width, 1)[None])
+            found.append(self._weighed(r, np.concatenate(own)))
+        return found
 
     def columns(self, at: Evaluated) -> list[Array]:
         """Return the columns of all free numbers, each record (F + effects', rows, n).
 
         Parameters count in their scale.
         """
-        point = at.point
-        free, values = point.parameters, point.values
-        own: list[list[Array]] = []
-        for i, scale in enumerate(free.scale.tolist()):
-            step = np.zeros(len(values))
-            step[i] = _HALF_STEP * scale
-            pair = (self._plain_missing(point.with_values(values + s * step)) for s in (-1.0, 1.0))
-            own.append([at.share * (a - b) / (2 * _HALF_STEP) for a, b in zip(*pair, strict=True)])
-        parts = [self.effect_columns(at, p) for p in point.placed]
-        found = []
-        for k, record in enumerate(self.records):
-            n = record.kept[0].shape[1]
-            mine = [c[k][None] for c in own] + [p[k] for p in parts]
-            found.append(np.concatenate(mine) if mine else np.zeros((0, record.rows, n)))
-        return found
+        own = [at.share * (c[:, 0] - c[:, 1] - c[:, 2]) for c in self._parameter_changes(at)]
+        parts = [self.effect_columns(at, p) for p in at.point.placed]
+        return [np.concatenate([c, *(p[k] for p in parts)]) for k, c in enumerate(own)]
+
+    def group_columns(self, at: Evaluated, more: Placed | None = None) -> list[Array]:
+        """Return the changes of the groups by all free numbers, as `columns` (C, 3, rows, n)."""
+        parts = [self._changes(at, p) for p in at.point.placed]
+        if more is not None:
+            parts.append(self._changes(at, more))
+        own = self._parameter_changes(at)
+        return [np.concatenate([c, *(p[k] for p in parts)]) for k, c in enumerate(own)]
 
     def plain(self) -> Training:
         """Return the same records without weights."""
@@ -159,49 +155,21 @@ class Training:
         flat = Whitening(np.array([0.0, limit_hz]), np.ones((2, n)), limit_hz)
         return replace(self, whitening=flat)
 
-    def acting_columns(self, at: Evaluated) -> list[Array]:
-        """Return the changes of the inputs' force by all free numbers, as `columns`."""
+    def _parameter_changes(self, at: Evaluated) -> list[Array]:
         point = at.point
         free, values = point.parameters, point.values
-        own: list[list[Array]] = []
+        found: list[list[Array]] = [[] for _ in self.records]
         for i, scale in enumerate(free.scale.tolist()):
             step = np.zeros(len(values))
             step[i] = _HALF_STEP * scale
-            models = [point.with_values(values + s * step).model for s in (-1.0, 1.0)]
-            own.append(
-                [
-                    self._weighed(r, (r.input_force(models[1]) - r.input_force(models[0])))
-                    / (2 * _HALF_STEP)
-                    for r in self.records
-                ]
-            )
-        parts = [self.acting_of(at, p) for p in point.placed]
+            low, high = (point.with_values(values + s * step) for s in (-1.0, 1.0))
+            for mine, r in zip(found, self.records, strict=True):
+                change = (r.groups(high) - r.groups(low)) / (2 * _HALF_STEP)
+                mine.append(self._weighed(r, change))
         return [
-            np.concatenate(
-                [
-                    np.zeros((0, *r.kept[0].shape)),
-                    *(c[k][None] for c in own),
-                    *(p[k] for p in parts),
-                ]
-            )
-            for k, r in enumerate(self.records)
+            np.array(mine) if mine else np.zeros((0, 3, *r.kept[0].shape))
+            for mine, r in zip(found, self.records, strict=True)
         ]
-
-    def acting_of(self, at: Evaluated, placed: Placed) -> list[Array]:
-        """Return the changes of the inputs' force by an effect's amplitudes and shape."""
-        model, a = at.point.model, np.array(placed.amplitudes)
-        found = []
-        for r in self.records:
-            own = [r.held_forces(model, placed.effect, placed.shape)]
-            for i, q in enumerate(placed.effect.shape):
-                low, high, width = _steps(q, placed.shape, i)
-                lower, upper = (r.held_forces(model, placed.effect, s) for s in (low, high))
-                own.append(np.tensordot(a, (upper - lower) / width, 1)[None])
-            found.append(self._weighed(r, np.concatenate(own)))
-        return found
-
-    def _plain_missing(self, point: ForceModel) -> list[Array]:
-        return [self._weighed(r, r.missing_force(point)) for r in self.records]
 
     def prior(self, point: ForceModel) -> Array:
         """Return the Gram matrix of the parameters' priors, for [columns, missing]."""
@@ -243,29 +211,47 @@ class Training:
         return min(fits, key=self._cost)
 
     def judged(
-        self,
-        at: Evaluated,
-        own: Sequence[Array],
-        acting: Sequence[Array],
-        more: Placed | None = None,
+        self, at: Evaluated, columns: Sequence[Array], groups: Sequence[Array], more: int = 0
     ) -> Columns:
-        """Return the Gram matrices of a model, with one more effect if given.
+        """Return the Gram matrices of a model by its columns and group columns.
 
-        own, acting: `columns` and `acting_columns` of the model.
+        more: columns, the last ones, of an effect that the model does not have yet.
         """
         prior = self.prior(at.point)
-        columns, changes = list(own), list(acting)
-        if more is not None:
-            extra, pushes = self.effect_columns(at, more), self.acting_of(at, more)
-            columns = [np.concatenate(pair) for pair in zip(own, extra, strict=True)]
-            changes = [np.concatenate(pair) for pair in zip(acting, pushes, strict=True)]
-            base, count = len(own[0]), numbers_of(more)
-            wide = np.zeros((base + count + 1, base + count + 1))
-            pick = [*range(base), base + count]
-            wide[np.ix_(pick, pick)] = prior
-            prior = wide
-        power = self.blocks.grams(changes, at.acting).sum(axis=0)  # over blocks
-        return Columns(self.blocks.grams(columns, at.missing), power, prior)
+        base = len(prior) - 1
+        wide = np.zeros((base + more + 1, base + more + 1))
+        pick = [*range(base), base + more]
+        wide[np.ix_(pick, pick)] = prior
+        power = np.zeros((len(at.power), len(wide), len(wide)))
+        for changes, now in zip(groups, at.groups, strict=True):
+            whole = np.concatenate([changes, now[None]]) * self.scale[:, None]
+            whole = np.moveaxis(whole, 3, 0).reshape(len(at.power), len(wide), -1)
+            power += whole @ np.swapaxes(whole, 1, 2)
+        return Columns(self.blocks.grams(columns, at.missing), power, wide)
+
+    def with_scale(self, at: Evaluated, told_from_model: float) -> Training:
+        """Return the records with the scale of each equation set by what no number is free of.
+
+        A force sets the scale if more than `told_from_model` of its square is beside the columns.
+        """
+        columns, n = self.columns(at), len(at.power)
+        scale = np.zeros((3, n))
+        for i in range(n):
+            J = np.concatenate([c[:, :, i] for c in columns], axis=1).T
+            size = np.linalg.norm(J, axis=0)
+            Q, R = np.linalg.qr(J[:, size > 0.0] / size[size > 0.0])
+            Q = Q[:, np.abs(np.diag(R)) > 1e-10]
+            for kind in range(3):
+                force = np.concatenate([g[kind, :, i] for g in at.groups])
+                left = force - Q @ (Q.T @ force)
+                scale[kind, i] = left @ left > told_from_model * float(force @ force)
+        return replace(self, scale=scale)
+
+    def _power(self, groups: Sequence[Array]) -> Array:
+        """Return the sum of squares (n,) of the forces that set the scale."""
+        return np.asarray(
+            np.sum([np.sum(g * g * self.scale[:, None], axis=(0, 1)) for g in groups], axis=0)
+        )
 
     def _cost(self, point: ForceModel) -> float:
         rows = point.parameters.prior_rows(point.values)
@@ -295,6 +281,18 @@ class Training:
     def _weighed(self, record: ForceRecord, values: Array) -> Array:
         white = self.whitening.apply(values, record.band.row_s)
         return np.asarray(white - white.mean(axis=-2, keepdims=True))
+
+
+def missing_share(at: Evaluated) -> Array:
+    """Return the missing force over the acting force (n,)."""
+    squares = np.sum([np.sum(m * m, axis=0) for m in at.missing], axis=0)
+    return np.asarray(np.sqrt(squares) / at.share / np.maximum(acting_force(at), _TINY))
+
+
+def acting_force(at: Evaluated) -> Array:
+    """Return the size (n,) of the inputs' force, of the largest other force where there is none."""
+    sizes = np.sum([np.sum(g * g, axis=1) for g in at.groups], axis=0)
+    return np.asarray(np.sqrt(np.where(sizes[0] > 0.0, sizes[0], sizes.max(axis=0))))
 
 
 def _way(begin: ForceModel, point: ForceModel) -> Array:

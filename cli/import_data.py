@@ -13,9 +13,6 @@ from .progress import say
 if TYPE_CHECKING:
     from ..log.importing.importer import Imported
 
-LEAST_TRACE_S = 34.0
-"""Shortest single record for `levid trace`: it fits to three fifths, which must last 20 s."""
-
 
 @click.command("import")
 @click.argument("file", type=click.Path(path_type=Path))
@@ -67,9 +64,3 @@ def _print_next(out: Path, found: Imported) -> None:
     say(f"      levid identify {logs} --model MODEL.yaml --out {quoted(folder)}")
     say("and find effects that it lacks:")
     say(f"      levid trace {logs} --model MODEL.yaml --out {quoted(folder / 'trace')}")
-    seconds = found.rows / found.rate_hz
-    if seconds < LEAST_TRACE_S:
-        say(
-            f"levid trace needs {LEAST_TRACE_S:.0f} s of data or more; these are {seconds:.3g} s: "
-            "record longer to use it"
-        )

@@ -15,10 +15,6 @@ import pytest
 import scipy.io
 from motor_measurements import MODEL, RATE_HZ, Measurement, measured, parameters, uniform
 
-from levid.cli.import_data import LEAST_TRACE_S
-from levid.identification.trace.linearised.gram_matrices import BLOCK_S
-from levid.identification.trace.search.regression import FOLDS
-
 Command = Callable[..., tuple[int, str, str]]
 PRECISE = pytest.approx({"d": 1.0, "k": 1.0, "c": 1.0}, rel=2e-3)
 """Noise of 2 um on motion of 2 mm RMS leaves an error of 1e-4; k and c are known far better."""
@@ -87,7 +83,6 @@ def test_simulink_structure_with_time(user: Folder) -> None:
     assert f"{user.log}: 2000 samples at 500 Hz" in out
     assert f"levid identify {user.log} --out" in err
     assert f"levid trace {user.log} --model MODEL.yaml --out" in err
-    assert "levid trace needs 34 s of data or more; these are 4 s: record longer" in err
     assert parameters(user.log) == PRECISE
 
 
@@ -223,11 +218,6 @@ def test_clipped_input(user: Folder, levid: Command) -> None:
     # The user did not fill in the unit of the position.
     assert "warning: position is in unit 1 (none) in its signals file, but position_m in m" in err
     assert "warning: current" not in err
-
-
-def test_least_duration_for_a_trace_is_that_of_the_trace() -> None:
-    fitted_share = 0.6  # of a single record
-    assert pytest.approx(FOLDS * BLOCK_S / fitted_share, abs=1.0) == LEAST_TRACE_S
 
 
 def test_model_of_the_motor_is_valid(tmp_path: Path, levid: Command) -> None:

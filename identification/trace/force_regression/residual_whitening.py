@@ -48,7 +48,7 @@ class Whitening:
                 for column in self.density.T
             ],
             axis=1,
-        ) * (2.0 * row_s * np.sqrt(self.cutoff_hz))
+        ) * np.sqrt(2.0 * row_s)
         found = irfft(rfft(whole, length, axis=-2) * weight, length, axis=-2)
         return np.asarray(found[..., before : before + rows, :])
 

@@ -110,3 +110,28 @@ def test_stated_controller_is_recognised_and_the_loop_is_simulated(result: dict[
     assert check["metric"] == "free_run"
     assert max(check["percent"]) < 10.0
     assert max(check["one_step_percent"]) < 2.0
+
+
+def test_black_box_has_the_unstable_pole(result: dict[str, Any]) -> None:
+    """The controller uses the angles of the same row, which a direct term would take for the plant.
+
+    The declared model has a pole of 13.8 1/s. With a direct term the estimate was 7.9 +- 1.0 1/s.
+    """
+    (point,) = result["points"]
+    A = np.array(point["predictor"]["A"])
+    rates = np.log(np.abs(np.linalg.eigvals(A)).max()) * 500.0
+    assert rates == pytest.approx(13.8, abs=2.6)  # two half widths of its 95 % interval
+
+
+def test_trace_names_nothing_where_encoder_steps_hide_small_effects(
+    log: Path, run_levid: Callable[..., int]
+) -> None:
+    out = io.StringIO()
+    arguments = ("--model", DATA / "model.yaml", "--out", log.parent / "trace", "--json")
+    with contextlib.redirect_stdout(out):
+        assert run_levid("trace", log, *arguments) == 0
+    found = json.loads(out.getvalue())
+    assert found["effects"] == []
+    assert found["validation"]["noise_floor"] is None
+    assert "no effect is confirmed" in found["unexplained"]["found"]
+    assert (log.parent / "trace" / "index.html").exists()

@@ -64,7 +64,7 @@ class Beside:
         X = flat(forces)
         left = self.without(X)
         amplitudes = _amplitudes(effect, X, left, self.rest, told)
-        shrinks = (self.at.share > 1.0) | (amplitudes @ pull < 0.0)
+        shrinks = self.training.counts(self.at, amplitudes, pull)
         if np.any(shrinks):
             pull = np.where(shrinks, pull, 0.0)
             pairs = zip(forces, self.at.missing, strict=True)

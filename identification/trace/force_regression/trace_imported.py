@@ -38,10 +38,12 @@ from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
 from .search import Progress, Searched, search
 from .search_options import SearchOptions
-from .training_records import Training
+from .training_records import Training, missing_share
 
 Array = NDArray[np.float64]
 
+_WORSE = 1.5
+"""Ratio of missing forces above which a fit with weights is worse than one without."""
 _MIDDLE = BAND_STEPS[len(BAND_STEPS) // 2]
 
 
@@ -181,14 +183,19 @@ def _weighed(
     plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
     blocks = Blocks.of([r.rows for r in fitted], options.blocks)
     n = len(start.model.dof)
-    training = Training(fitted, plain, blocks, np.zeros((3, n)))
+    training = Training(fitted, plain, blocks, np.zeros((3, n)), np.full(n, np.nan))
     training = training.with_scale(training.at(start), options.told_from_model)
     point = training.first_fit(start)
     beside = Beside.of(point, training)
     left = residual_of_richest(point, fitted, _plain_columns(beside))
     white = whitening_of(left, fitted[0].band.row_s, limit_hz)
-    training = replace(training, whitening=white)
-    return training, training.first_fit(point)
+    weighed = replace(training, whitening=white)
+    weighed = weighed.with_scale(weighed.at(point), options.told_from_model)
+    better = weighed.first_fit(point)
+    flat_at, better_at = (training.plain().at(p) for p in (point, better))
+    if np.any(missing_share(better_at) > _WORSE * missing_share(flat_at)):
+        return training, point  # the weights follow noise in the motion, not what is missing
+    return weighed, better
 
 
 def _plain_columns(beside: Beside) -> list[Array]:
@@ -209,7 +216,8 @@ def _training_below(
     missing = [r.missing_force(point) for r in records]
     white = whitening_of([m - m.mean(axis=0) for m in missing], records[0].band.row_s, limit_hz)
     blocks = Blocks.of([r.rows for r in records], options.blocks)
-    training = Training(records, white, blocks, np.zeros((3, len(point.model.dof))))
+    n = len(point.model.dof)
+    training = Training(records, white, blocks, np.zeros((3, n)), np.full(n, np.nan))
     return training.with_scale(training.at(replace(point, placed=())), options.told_from_model)
 
 

@@ -64,15 +64,18 @@ class Training:
     A constant force of each record is unknown, so it is free in every fit. An equation of motion
     holds times any factor, and some declared number sets its scale. An effect that cancels what
     sets the scale would lower the error by lowering all forces: so errors count more where effects
-    lower the force that sets the scale.
+    lower the force that sets the scale. If all terms of an equation are free, and only parameters
+    that it shares with another one tie its scale, errors count relative to its inputs' force.
 
-    scale (3, n): whether the force of inputs, of inertia or of all else sets it, 1 or 0.
+    scale (3, n): whether the force of inputs, of inertia or of all else sets it, 1 or 0. reference
+    (n,): power of that force at the begin, nan where a declared number sets the scale.
     """
 
     records: tuple[ForceRecord, ...]
     whitening: Whitening
     blocks: Blocks
     scale: Array
+    reference: Array
 
     def at(self, point: ForceModel) -> Evaluated:
         """Return the missing force of a model, and the forces that it consists of."""
@@ -84,6 +87,8 @@ class Training:
             plain = self._power([self._weighed(r, r.groups(bare)) for r in self.records])
             ratio = np.divide(plain, power, out=np.ones(len(power)), where=power > 0.0)
             share = np.sqrt(np.maximum(ratio, 1.0))
+        free = np.isfinite(self.reference) & (power > 0.0)
+        share[free] = np.sqrt(self.reference[free] / power[free])
         missing = [share * (g[1] + g[2] - g[0]) for g in groups]
         return Evaluated(point, missing, groups, power, share)
 
@@ -116,7 +121,7 @@ class Training:
         """Return the columns of an effect's amplitudes and shape, each record (c, rows, n)."""
         forces, pull = self._forces_of(at, self._changes(at, placed))
         count = len(placed.amplitudes)
-        shrinks = (at.share > 1.0) | (np.array(placed.amplitudes) @ pull[:count] < 0.0)
+        shrinks = self.counts(at, np.array(placed.amplitudes), pull[:count])
         pull = np.where(shrinks, pull, 0.0)
         return [f + pull[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)]
 
@@ -137,7 +142,9 @@ class Training:
 
         Parameters count in their scale.
         """
-        own = [at.share * (c[:, 0] - c[:, 1] - c[:, 2]) for c in self._parameter_changes(at)]
+        own, pull = self._forces_of(at, self._parameter_changes(at))
+        pull = np.where(np.isfinite(self.reference), pull, 0.0)
+        own = [f + pull[:, None, :] * m for f, m in zip(own, at.missing, strict=True)]
         parts = [self.effect_columns(at, p) for p in at.point.placed]
         return [np.concatenate([c, *(p[k] for p in parts)]) for k, c in enumerate(own)]
 
@@ -153,7 +160,7 @@ class Training:
         """Return the same records without weights."""
         n, limit_hz = self.records[0].kept[0].shape[1], self.whitening.cutoff_hz
         flat = Whitening(np.array([0.0, limit_hz]), np.ones((2, n)), limit_hz)
-        return replace(self, whitening=flat)
+        return replace(self, whitening=flat, reference=np.full(n, np.nan))
 
     def _parameter_changes(self, at: Evaluated) -> list[Array]:
         point = at.point
@@ -245,7 +252,15 @@ class Training:
                 force = np.concatenate([g[kind, :, i] for g in at.groups])
                 left = force - Q @ (Q.T @ force)
                 scale[kind, i] = left @ left > told_from_model * float(force @ force)
-        return replace(self, scale=scale)
+        free = ~scale.any(axis=0)
+        scale[0, free] = 1.0
+        pushed = np.sum([np.sum(g[0] ** 2, axis=0) for g in at.groups], axis=0)
+        return replace(self, scale=scale, reference=np.where(free, pushed, np.nan))
+
+    def counts(self, at: Evaluated, amplitudes: Array, pull: Array) -> NDArray[np.bool_]:
+        """Return whether an effect's change of the power counts for each DOF (n,)."""
+        shrinks = (at.share > 1.0) | (amplitudes @ pull < 0.0)
+        return np.asarray(shrinks | np.isfinite(self.reference))
 
     def _power(self, groups: Sequence[Array]) -> Array:
         """Return the sum of squares (n,) of the forces that set the scale."""

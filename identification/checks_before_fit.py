@@ -95,7 +95,7 @@ def _of_inputs(training: Sequence[Record], options: Options) -> Iterator[str]:
         noise = f", and noise is amplified {1 / d.share:.2g} times" if d.share > 1e-6 else ""
         yield (
             f"input {d.name} depends on the other inputs: {d.name} = {terms} + constant leaves "
-            f"{100 * d.share:.2g} % of it (RMS). Their effects cannot be told apart{noise}. Excite "
+            f"{100 * d.share:.3g} % of it (RMS). Their effects cannot be told apart{noise}. Excite "
             f"the inputs independently, or give {d.name} the role other"
         )
     wanted = options.order or HIGHEST_ORDER

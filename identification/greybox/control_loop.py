@@ -100,15 +100,15 @@ def imported_loop(
         by_scale = 2.0 * norm.sf(abs(z))
         if by_scale < _CHANCE or (chance < _CHANCE and part > _EXPLAINED):
             return completed, (
-                f"loop: the stated controller did not command this record. It leaves {share:.2g} % "
-                f"of {name} (RMS), and outputs and references explain {100 * part:.2g} % of what "
+                f"loop: the stated controller did not command this record. It leaves {share:.3g} % "
+                f"of {name} (RMS), and outputs and references explain {100 * part:.3g} % of what "
                 "is new in that; an excitation would not depend on them. The command fits "
                 f"{scale:.3g} times the stated controller better. Check gains, sign, units, rate "
                 "and references. A simulation still uses the stated controller, on the difference "
                 "between measured and simulated outputs",
             )
     return completed, (
-        f"loop: the controller leaves {shares.max():.2g} % of the command (RMS), which counts as "
+        f"loop: the controller leaves {shares.max():.3g} % of the command (RMS), which counts as "
         "excitation that was not recorded",
     )
 

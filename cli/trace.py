@@ -70,7 +70,7 @@ def command(
     from ..identification.trace.found_effects_summary import outcome, summary
     from .trace_imported import is_imported, print_imported
 
-    if is_imported(logs):
+    if is_imported(logs, model):
         return print_imported(logs, model, out, as_json)
     traced = trace_logs(logs, model, out, workers, dask)
     found, page = traced.found, traced.page

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,15 +13,22 @@ from .output_folder_check import quoted, same_logs, writable_folder
 from .progress import progress, say
 
 if TYPE_CHECKING:
+    from ..config.model import EffectParameter
     from ..identification.trace.force_regression.force_trace_summary import FoundLaw
     from ..identification.trace.force_regression.trace_imported import ForceTrace
 
 
-def is_imported(logs: Sequence[Path]) -> bool:
-    """Return whether the first log was imported from other data than the rig's."""
+def is_imported(logs: Sequence[Path], model: Path | None) -> bool:
+    """Return whether the first log was imported, and the model has no scheduling variable.
+
+    Along a schedule the missing force has no spectrum; the prediction errors serve for it.
+    """
+    from ..config.model import load_model
     from ..log.reader import read_log
 
-    return "signals.yaml" in read_log(logs[0]).attachments
+    if "signals.yaml" not in read_log(logs[0]).attachments:
+        return False
+    return model is None or not load_model(model).scheduling
 
 
 def print_imported(logs: Sequence[Path], model: Path | None, out: Path, as_json: bool) -> int:
@@ -84,6 +91,7 @@ def print_imported(logs: Sequence[Path], model: Path | None, out: Path, as_json:
 def words_of(found: ForceTrace) -> list[str]:
     """Return the results as lines of text; +- is a 95 % interval."""
     from ..identification.trace.force_regression.force_trace_summary import (
+        declared_effects,
         force_outcome,
         model_with_effects,
     )
@@ -103,6 +111,8 @@ def words_of(found: ForceTrace) -> list[str]:
     lines.append(result.verdict)
     for law in result.laws:
         lines += _law(law)
+    for effect, parameters in declared_effects(found):
+        lines.append(f"{effect.name}, declared: {_values(parameters)} (95 %)")
     names = found.found.point.parameters.names
     values = [
         f"{name} = {p.value:.5g}{_interval(p.se)} {p.unit}"
@@ -125,10 +135,7 @@ def words_of(found: ForceTrace) -> list[str]:
 
 def _law(law: FoundLaw) -> list[str]:
     effect, rated = law.placed.effect, law.rated
-    values = ", ".join(
-        f"{name} = {p.value:.5g}{_interval(p.se)}" + ("" if p.unit in ("", "1") else f" {p.unit}")
-        for name, p in law.parameters.items()
-    )
+    values = _values(law.parameters)
     lines = [f"  {law.name}" + ("" if law.free else f": {values} (95 %)"), f"    {effect.equation}"]
     lines.append(
         f"    takes {100 * rated.share:.3g} % of the squared missing force of blocks that did not "
@@ -141,6 +148,13 @@ def _law(law: FoundLaw) -> list[str]:
         names = ", ".join(r.placed.effect.title for r in law.laws)
         lines.append(f"    other laws of it fit as well: {names}")
     return lines
+
+
+def _values(parameters: Mapping[str, EffectParameter]) -> str:
+    return ", ".join(
+        f"{name} = {p.value:.5g}{_interval(p.se)}" + ("" if p.unit in ("", "1") else f" {p.unit}")
+        for name, p in parameters.items()
+    )
 
 
 def _interval(se: float | None) -> str:

@@ -13,6 +13,7 @@ from ...identification.trace.force_regression.force_trace_summary import (
     ABOUT,
     ForceOutcome,
     FoundLaw,
+    declared_effects,
     force_outcome,
     model_with_effects,
 )
@@ -195,6 +196,8 @@ def _parameters(trace: ForceTrace) -> Table:
         for name, p in model_with_effects(trace).parameters.items()
         if name in trace.found.point.parameters.names
     ]
+    for effect, parameters in declared_effects(trace):
+        rows += [(f"{name}, {effect.name}", "", with_interval(p)) for name, p in parameters.items()]
     return Table(
         "Parameters of the declared model, with 95 % intervals where the records tell them",
         ("parameter", "declared", "fitted"),

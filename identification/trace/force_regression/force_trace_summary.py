@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....config.model import EffectParameter, ModelConfig, ModelEffect
-from ....model.effects.base import Placed
+from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from .reported_errors import PooledError
 from .search import Rated
@@ -202,6 +202,13 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
         }
     )
     return plain
+
+
+def declared_effects(trace: ForceTrace) -> list[tuple[Effect, dict[str, EffectParameter]]]:
+    """Return the effects that the model declared already, with their fitted parameters."""
+    new = {r.placed.effect.identity for r in trace.found.rated}
+    pairs = zip(trace.found.point.placed, _parameters(trace), strict=True)
+    return [(p.effect, values) for p, values in pairs if p.effect.identity not in new]
 
 
 def model_with_effects(trace: ForceTrace) -> ModelConfig:

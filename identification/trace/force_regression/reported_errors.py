@@ -23,6 +23,8 @@ from .force_record import ForceModel, ForceRecord
 Array = NDArray[np.float64]
 Metric = Literal["free_run", "force"]
 
+_ROUNDING = 1e-7
+"""Least noise over the motion's RMS, 23 bits: simulated records may have none."""
 _DIVERGED = 100.0
 """Error over the output's standard deviation above which a simulation has diverged."""
 
@@ -62,7 +64,8 @@ def output_noise(records: Sequence[TraceRecord]) -> tuple[Array, bool]:
         step = np.where(np.isfinite(step), step, np.where(np.isfinite(own), 0.0, seen))
         sd = np.where(np.isfinite(own), np.hypot(own, step / np.sqrt(12.0)), white_noise(e.y))
         found.append(np.maximum(sd, step / np.sqrt(12.0)))
-    return np.median(found, axis=0), stated
+    spread = np.max([r.experiment.y.std(axis=0) for r in records], axis=0)
+    return np.maximum(np.median(found, axis=0), _ROUNDING * spread), stated
 
 
 def _step(values: Array) -> float:

@@ -53,19 +53,19 @@ class Whitening:
         return np.asarray(found[..., before : before + rows, :])
 
 
-def whitening_of(residuals: Sequence[Array], row_s: float, cutoff_hz: float) -> Whitening:
-    """Return the weights for residuals (rows, n) of records with equal time between rows."""
-    segment = max(min(len(r) for r in residuals) // (_SEGMENTS // 2), _LEAST_ROWS)
-    total, weight = None, 0.0
-    for r in residuals:
-        freq_hz, density = welch(r, 1 / row_s, nperseg=min(segment, len(r)), axis=0)
-        if total is None:
-            total = np.zeros_like(density)
-        if len(density) == len(total):
-            total += len(r) * density
-            weight += len(r)
-    assert total is not None
-    density = total / weight
+def whitening_of(residuals: Sequence[Array], row_s: Sequence[float], cutoff_hz: float) -> Whitening:
+    """Return the weights for residuals (rows, n) of records with `row_s` between their rows."""
+    shortest = min(len(r) * s for r, s in zip(residuals, row_s, strict=True))
+    spectra = []
+    for r, s in zip(residuals, row_s, strict=True):
+        segment = max(int(shortest / s) // (_SEGMENTS // 2), _LEAST_ROWS)
+        spectra.append(welch(r, 1 / s, nperseg=min(segment, len(r)), axis=0))
+    freq_hz = spectra[0][0]
+    seconds = np.array([len(r) * s for r, s in zip(residuals, row_s, strict=True)])
+    density = np.zeros_like(spectra[0][1])
+    for share, (own_hz, own) in zip(seconds / seconds.sum(), spectra, strict=True):
+        columns = [np.interp(freq_hz, own_hz, column) for column in own.T]
+        density += share * np.stack(columns, axis=1)
     inside = (freq_hz > 0.0) & (freq_hz <= cutoff_hz)
     smooth = _smoothed(density[inside])
     return Whitening(freq_hz[inside], np.maximum(smooth, 1e-12 * smooth.max(axis=0)), cutoff_hz)

@@ -42,10 +42,9 @@ _ONE_LAW = "friction"
 class Rated:
     """A candidate with fitted numbers, and its gain over the model at that time.
 
-    left: what the model with it leaves of the weighed missing force of each record (rows, n).
-    share:
-    the part of the squared missing force that it takes. force: by how much it lowers the RMS
-    missing force over the acting force, at the DOF where that is most. instead_of: the effect
+    left: what the model with it leaves of the weighed missing force of each record (rows, n). share
+    and force: the part of the squared missing force that it takes, and by how much it lowers the
+    RMS missing force over the acting force, at the DOF where that is most. instead_of: the effect
     whose place it takes. contenders: all that were fitted in the same round. `alternatives` are not
     told apart from it. support: share of bootstrap samples of the blocks in which one of its class
     and place gains most of all.

@@ -188,7 +188,7 @@ def _weighed(
     point = training.first_fit(start)
     beside = Beside.of(point, training)
     left = residual_of_richest(point, fitted, _plain_columns(beside))
-    white = whitening_of(left, fitted[0].band.row_s, limit_hz)
+    white = whitening_of(left, [r.band.row_s for r in fitted], limit_hz)
     weighed = replace(training, whitening=white)
     weighed = weighed.with_scale(weighed.at(point), options.told_from_model)
     better = weighed.first_fit(point)
@@ -214,7 +214,8 @@ def _training_below(
     """Return the training records below another limit, weighed by the found model's residual."""
     records = tuple(ForceRecord.of(r, hold, limit_hz) for r in train)
     missing = [r.missing_force(point) for r in records]
-    white = whitening_of([m - m.mean(axis=0) for m in missing], records[0].band.row_s, limit_hz)
+    centred = [m - m.mean(axis=0) for m in missing]
+    white = whitening_of(centred, [r.band.row_s for r in records], limit_hz)
     blocks = Blocks.of([r.rows for r in records], options.blocks)
     n = len(point.model.dof)
     training = Training(records, white, blocks, np.zeros((3, n)), np.full(n, np.nan))

@@ -19,7 +19,7 @@ def coloured(seed: int) -> np.ndarray:
 
 
 def test_residual_becomes_white_with_one_per_independent_row():
-    white = whitening_of([coloured(1)], ROW_S, LIMIT_HZ)
+    white = whitening_of([coloured(1)], [ROW_S], LIMIT_HZ)
     # Another realisation than the one that gave the weights.
     found = white.apply(coloured(2), ROW_S)
     freq_hz, density = welch(found, 1 / ROW_S, nperseg=200, axis=0)
@@ -34,7 +34,7 @@ def test_residual_becomes_white_with_one_per_independent_row():
 
 
 def test_signals_are_not_delayed():
-    white = whitening_of([coloured(1)], ROW_S, LIMIT_HZ)
+    white = whitening_of([coloured(1)], [ROW_S], LIMIT_HZ)
     pulse = np.zeros((401, 2))
     pulse[200] = 1.0
     found = white.apply(pulse, ROW_S)

@@ -12,6 +12,7 @@ from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace.force_regression.force_trace_summary import (
+    declared_effects,
     force_summary,
     model_with_effects,
 )
@@ -151,6 +152,21 @@ def test_friction_is_found_in_an_unknown_loop(seed: int):
     assert law["parameters"]["friction"]["unit"] == "N"
     assert law["parameters"]["friction"]["value"] == pytest.approx(8.0, rel=0.1)
     assert law["support"] > 0.9
+
+
+def test_declared_friction_of_half_the_size_is_kept_and_refitted():
+    declared = """
+effects:
+  - effect: friction.coulomb
+    where: [x]
+    parameters: {friction: {value: 4, unit: N}, v_s: {value: 0.002, unit: m/s}}
+"""
+    found = traced(DRIVE + declared, drive(1, 8.0))
+    assert force_summary(found)["effects"] == []
+    ((effect, parameters),) = declared_effects(found)
+    assert effect.key == "friction.coulomb"
+    assert parameters["friction"].value == pytest.approx(8.0, rel=0.1)
+    assert found.found.dropped == ()
 
 
 def test_nothing_is_named_on_a_drive_without_friction():

@@ -152,7 +152,7 @@ def _law_parts(trace: ForceTrace, law: FoundLaw, number: int) -> tuple[Part, ...
             )
         )
     others = [g for g in rated.gain.others if np.isfinite(g)]
-    asked = f"{len(others)} parts of the records that did not fit it agree" if others else ""
+    asked = f"{len(others)} parts of the records that did not fit it agree." if others else ""
     parts.append(
         Text(
             f"It takes {100 * rated.share:.3g} % of the squared missing force of blocks that did "

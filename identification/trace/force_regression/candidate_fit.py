@@ -152,7 +152,7 @@ def _amplitudes(
     low = np.array([q.low for q in effect.amplitudes]) * size
     high = np.array([q.high for q in effect.amplitudes]) * size
     Q, R = np.linalg.qr(left / size)
-    U, s, Vt = np.linalg.svd(R)
+    U, s, Vt = np.linalg.svd(R, full_matrices=False)
     told = s > np.sqrt(told_from_model)
     b = U.T @ (Q.T @ rest)
     found = Vt.T @ np.where(told, b / np.where(told, s, 1.0), 0.0)

@@ -42,6 +42,8 @@ from .training_records import Training, missing_share
 
 Array = NDArray[np.float64]
 
+_ROWS_PER_BLOCK, _FEWEST_BLOCKS = 2, 8
+"""Independent values of a block, and blocks, at least: fewer have no scatter to judge by."""
 _WORSE = 1.5
 """Ratio of missing forces above which a fit with weights is worse than one without."""
 _MIDDLE = BAND_STEPS[len(BAND_STEPS) // 2]
@@ -119,6 +121,7 @@ def _traced(
     sd, stated = output_noise(records)
     limit_hz = middle_limit([r.experiment for r in records], hold)
     limit_hz = min(limit_hz, *(acceleration_limit(r.experiment, sd) for r in records))
+    options = replace(options, blocks=_blocks(records, limit_hz, options))
     parts = [_split(r, options.reported) for r in records]
     train, kept = [p[0] for p in parts], [p[1] for p in parts]
     fitted = tuple(ForceRecord.of(r, hold, limit_hz) for r in train)
@@ -235,6 +238,31 @@ def _require_rows(records: Sequence[TraceRecord], options: SearchOptions) -> Non
                 f"record '{record.name}': expected at least {least} rows, of which the last "
                 f"{options.reported:.0%} only report, found {record.rows}"
             )
+
+
+def _blocks(records: Sequence[TraceRecord], limit_hz: float, options: SearchOptions) -> int:
+    """Return the number of blocks of time: fewer for records with few independent values.
+
+    Raises IdentificationError without a varying input, or with too little above the noise.
+    """
+    names = records[0].places.actuators
+    still = np.all([np.ptp(r.coil, axis=0) == 0.0 for r in records], axis=0)
+    if np.all(still):
+        raise IdentificationError(
+            f"expected an input that varies, found {', '.join(names)} constant in every row: a "
+            "force that the model lacks is measured by the inputs' force"
+        )
+    seconds = (1.0 - options.reported) * sum(r.rows * r.experiment.Ts_s for r in records)
+    independent = 2.0 * seconds * limit_hz
+    least = _ROWS_PER_BLOCK * _FEWEST_BLOCKS
+    if independent < least:
+        raise IdentificationError(
+            f"expected at least {least} independent values to fit ({_ROWS_PER_BLOCK} in each of "
+            f"{_FEWEST_BLOCKS} blocks of time), found {independent:.0f}: {seconds:.3g} s below "
+            f"{limit_hz:.3g} Hz, where every output is ten times above its noise. Record longer, "
+            "excite more, or filter less"
+        )
+    return min(options.blocks, int(independent / _ROWS_PER_BLOCK))
 
 
 def _rms(values: Sequence[Array]) -> Array:

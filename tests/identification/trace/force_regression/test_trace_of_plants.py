@@ -190,6 +190,17 @@ def test_two_short_records_are_enough():
     assert law["class"] in ("gravity", "ambiguous")
 
 
+def test_records_without_motion_or_input_are_refused_with_what_to_do():
+    rng = np.random.default_rng(1)
+    noise, still = rng.normal(size=(3000, 1)), np.zeros((3000, 1))
+    white = Experiment("w", 0.01, noise, rng.normal(size=(3000, 1)), {}, frozenset(), False)
+    with pytest.raises(IdentificationError, match=r"expected at least 16 independent values.*Hz"):
+        traced(DRIVE, white)
+    constant = Experiment("c", 0.01, still, np.cumsum(noise, axis=0), {}, frozenset(), False)
+    with pytest.raises(IdentificationError, match="expected an input that varies, found f const"):
+        traced(DRIVE, constant)
+
+
 def test_too_few_rows_are_refused_with_the_number():
     with pytest.raises(IdentificationError, match=r"expected at least 200 rows.*found 150"):
         traced(PENDULUM, pendulum(1, linear=True).rows(0, 150))

@@ -3,7 +3,7 @@
 EMPS, a drive in a cascade (both records, alone and together, controller given and unknown), two
 levitated magnets with an unknown controller, current or voltage as input, once with the published
 controller, and an inverted pendulum. Nothing is tuned to them. The pendulum's data are in
-`tests/data/measured`. The others are no part of the project: `shared/data` beside the checkout, or
+`tests/measured`. The others are no part of the project: `shared/data` beside the checkout, or
 --data DIR. Data that are not there are left out.
 """
 
@@ -31,7 +31,7 @@ from levid.log.importing.importer import import_file
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
-PENDULUM = ROOT / "tests" / "data" / "measured" / "qube"
+PENDULUM = ROOT / "tests" / "measured" / "qube"
 MINUTE = Target(most=60.0)
 
 

@@ -1,6 +1,6 @@
 """Test import and identification on measured data of an inverted pendulum in a control loop.
 
-tests/data/measured/qube/README.md names the source. tests/pendulum_likelihood.py fits the same
+tests/measured/qube/README.md names the source. tests/pendulum_likelihood.py fits the same
 model to the same rows without levid's code.
 """
 
@@ -20,7 +20,7 @@ from repository_folders import ROOT
 
 from levid.log.reader import read_log
 
-DATA = ROOT / "tests" / "data" / "measured" / "qube"
+DATA = ROOT / "tests" / "measured" / "qube"
 ROWS = 707
 HELD_OUT_ROWS = 177
 """A quarter of the rows, which no fit uses."""

@@ -170,6 +170,9 @@ class ForceRecord:
             signals = replace(self.signals, delay_cycles=late, lag_s=lag_s)
             parts = [self._part(t, delay_s, lag_s) for t in effect.build(signals, shape)]
             if keep:
+                # Signals of another delay or lag are of no use any more.
+                if self._parts and next(iter(self._parts))[2:] != key[2:]:
+                    self._parts.clear()
                 self._parts[key] = parts
         return parts
 

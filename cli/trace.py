@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
-    help="Number of worker processes. Default: one per processor.",
+    help="Number of worker processes. Default: one per processor; imported records need none.",
 )
 @click.option(
     "--dask",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
 from ..model.second_order import StateSpace
 from .greybox.identify_greybox import GreyBox
+from .json_data import plain_json
 from .nonparametric.markov_parameters import MarkovEstimate
 from .nonparametric.robust_multisine import BestLinearApproximation
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint, SubspacePoint
@@ -37,7 +37,7 @@ def summary(result: IdentificationResult) -> dict[str, Any]:
         ],
         "skipped": list(result.skipped),
     }
-    cleaned = _plain(out)
+    cleaned = plain_json(out)
     assert isinstance(cleaned, dict)
     return cleaned
 
@@ -175,20 +175,6 @@ def _named(names: tuple[str, ...], units: tuple[str, ...]) -> list[dict[str, str
     return [{"name": n, "unit": u} for n, u in zip(names, units, strict=True)]
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict) or hasattr(value, "items"):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def study_summary(found: Study) -> dict[str, Any]:
     """Return all results of a study as JSON data: `summary`, multisine and grey box."""
     out: dict[str, Any] = summary(found.points) if found.points is not None else {}
@@ -197,7 +183,7 @@ def study_summary(found: Study) -> dict[str, Any]:
     if found.grey is not None:
         out["grey_box"] = _grey_box(found.grey)
     out["notes"] = list(found.notes)
-    cleaned = _plain(out)
+    cleaned = plain_json(out)
     assert isinstance(cleaned, dict)
     return cleaned
 

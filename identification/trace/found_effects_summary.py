@@ -14,6 +14,7 @@ from ...config.model import EffectParameter, ModelConfig, ModelEffect
 from ...model.effects.base import Effect, Placed, Places, located
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
+from ..json_data import plain_json
 from .residual.free_run_error import (
     RecordError,
     percent_of_pose,
@@ -291,7 +292,7 @@ def summary(trace: Trace) -> dict[str, Any]:
         "before": dict(zip(trace.places.dof, percent_of_pose(trace.before), strict=True)),
         "after": dict(zip(trace.places.dof, percent_of_pose(trace.after), strict=True)),
     }
-    plain: dict[str, Any] = _plain(
+    plain: dict[str, Any] = plain_json(
         {
             "effects": [
                 *(_effect(f, trace.places, found.perhaps_part_of(f)) for f in found.effects),
@@ -515,15 +516,3 @@ def _random(force: RandomForce) -> dict[str, Any]:
 
 def _named(effect: Effect) -> dict[str, Any]:
     return {"name": effect.name, "class": effect.effect_class, "where": list(effect.where)}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

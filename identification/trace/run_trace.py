@@ -15,7 +15,6 @@ from threadpoolctl import threadpool_limits
 from ...config.model import ModelConfig
 from ...model.effects.base import Effect, Places
 from ...model.effects.effect_serialization import placed_effects
-from ...model.effects.freeform import freeform_effects
 from ...model.effects.operating_range import Extent
 from ..greybox.declared_model_from_config import declared_model
 from ..greybox.fit import first_noise, fit_model
@@ -24,11 +23,12 @@ from ..records.record import IdentificationError
 from .linearised.gram_matrices import BLOCK_S, Linearised
 from .linearised.linearisation_point import WorkingPoint, with_likely_noise
 from .linearised.linearise_prediction_errors import blocks_in, linearise
-from .records.check_common_session_time import overlap, require_timeless, timeless
+from .records.check_common_session_time import overlap, require_timeless
 from .records.coil_load_history import loads_of
 from .records.initial_guesses import extent
 from .records.read_records import read_records
 from .records.record_from_log import SHORTEST_S, TraceRecord, split
+from .records.searched_effects import searched_effects
 from .records.sensor_and_amplifier_noise import disturbance, require_noise
 from .residual.free_run_error import RecordError, pooled, record_error
 from .residual.random_vibration import RandomVibration, force_spectrum, shaking
@@ -128,17 +128,9 @@ def _trace(
     begun = _begin(logs, config, workers, progress)
     declared, logged, places, notes = begun.declared, begun.logged, begun.places, begun.notes
     known = {p.effect.identity for p in declared.placed}
-    listed = _visible(effects(places, begun.covered), places)
-    others = [e for e in listed if e.identity not in known]
-    unknown = freeform_effects(places, begun.covered)
-    if begun.overlapping:
-        others, timed = timeless(others, places, begun.covered)
-        unknown, _ = timeless(unknown, places, begun.covered)
-        if timed:
-            kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
-            note = f"{begun.overlapping} overlap: effects that depend on session time"
-            notes = (*notes, f"{note} are not searched ({kinds})")
-    found = search(declared, others, unknown, logged, progress)
+    table = searched_effects(effects, declared.placed, places, begun.covered, begun.overlapping)
+    notes = (*notes, *table.notes)
+    found = search(declared, table.named, table.free, logged, progress)
     if {p.effect.identity for p in found.point.placed} == known:
         declared = found.point  # no effect was found: use the converged fit
     progress("simulating held-out records", 0.9)
@@ -169,6 +161,7 @@ def _begin(
 ) -> _Begun:
     progress("reading logs", 0.0)
     records, notes = read_records(logs, config)
+    _require_known_loops(list(records.values()))
     span = (
         min(r.time_s[0] for r in records.values()),
         max(r.time_s[-1] for r in records.values()),
@@ -271,6 +264,20 @@ class _Loaded:
         return [linearise(point, record, candidates) for record in chosen]
 
 
+def _require_known_loops(records: Sequence[TraceRecord]) -> None:
+    """Raise IdentificationError for a loop with an unknown controller.
+
+    A free run of it would drift, or follow the noise that the controller fed back.
+    """
+    for record in records:
+        if record.experiment.feedback and record.experiment.loop is None:
+            raise IdentificationError(
+                f"record '{record.name}': loop: expected a controller, found 'unknown': with a "
+                "scheduling variable in the model, a trace simulates the closed loop. State the "
+                "controller in the signals file, or trace a model of one operating point"
+            )
+
+
 def _require_enough(train: Sequence[TraceRecord]) -> None:
     """Raise IdentificationError for too few blocks of time to judge an effect by."""
     blocks = sum(blocks_in(r) for r in train)
@@ -281,17 +288,6 @@ def _require_enough(train: Sequence[TraceRecord]) -> None:
             f"{BLOCK_S:.0f} s, by which effects are judged) beside those held out, found "
             f"{found:.3g} s in {len(train)} record{'s' if len(train) > 1 else ''}"
         )
-
-
-def _visible(effects: Sequence[Effect], places: Places) -> list[Effect]:
-    """Return the effects that are identifiable with the plant's sensors.
-
-    Sensor effects need more sensors than DOF: otherwise a gain error is a change of units, and the
-    fit would shrink readings and errors together.
-    """
-    if places.sensors > len(places.dof):
-        return list(effects)
-    return [e for e in effects if not any(w.startswith("sensor") for w in e.where)]
 
 
 def _start(

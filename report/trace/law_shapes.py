@@ -36,12 +36,7 @@ def law_shapes(trace: ForceTrace, law: FoundLaw) -> list[Shape]:
             continue
         fitted = np.concatenate([f[:, i] for f, _ in parts])
         measured = np.concatenate([m[:, i] for _, m in parts])
-        block = np.concatenate(
-            [
-                np.searchsorted(edges, np.arange(r.rows), "right") + 1000 * k
-                for k, (r, edges) in enumerate(zip(trace.fitted, _edges(trace), strict=True))
-            ]
-        )
+        block = _block_numbers(trace)
         best = max(
             (
                 (dependence(x, fitted, block).share, what, unit, x)
@@ -74,9 +69,12 @@ def law_shapes(trace: ForceTrace, law: FoundLaw) -> list[Shape]:
     return shapes
 
 
-def _edges(trace: ForceTrace) -> list[NDArray[np.int64]]:
+def _block_numbers(trace: ForceTrace) -> NDArray[np.int64]:
+    """Return the number of the block of time of each row of all records."""
     count = max(trace.options.blocks // len(trace.fitted), 2)
-    return [np.linspace(0, r.rows, count + 1)[1:-1].astype(np.int64) for r in trace.fitted]
+    return np.concatenate(
+        [np.arange(r.rows) * count // r.rows + k * count for k, r in enumerate(trace.fitted)]
+    )
 
 
 def _fitted_and_measured(

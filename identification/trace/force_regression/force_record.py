@@ -94,22 +94,14 @@ class ForceRecord:
 
     def missing_force(self, point: ForceModel) -> Array:
         """Return the force that the model with its effects lacks (rows, n)."""
-        at = point.model.at(self.band.schedule)
-        q, qd, qdd, _ = self.kept
-        lacks = qdd @ at.M.T + qd @ at.D.T + q @ at.K.T - self.input_force(point.model)
-        for p in point.placed:
-            forces = self.effect_forces(point.model, p.effect, p.shape)
-            lacks = lacks - np.tensordot(np.array(p.amplitudes), forces, 1)
-        return np.asarray(lacks)
+        inputs, inertia, others = self.groups(point)
+        return np.asarray(inertia + others - inputs)
 
     def effect_forces(
-        self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
+        self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...]
     ) -> Array:
-        """Return the force of one unit of each amplitude of an effect (amplitudes, rows, n).
-
-        keep: whether the filtered signals are kept for the next call.
-        """
-        changes = self.group_changes(model, effect, shape, keep)
+        """Return the force of one unit of each amplitude of an effect (amplitudes, rows, n)."""
+        changes = self.group_changes(model, effect, shape)
         return np.asarray(changes[:, 0] - changes[:, 1] - changes[:, 2])
 
     def groups(self, point: ForceModel) -> Array:
@@ -139,7 +131,10 @@ class ForceRecord:
     def group_changes(
         self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
     ) -> Array:
-        """Return the change of `groups` by each amplitude (amplitudes, 3, rows, n)."""
+        """Return the change of `groups` by each amplitude (amplitudes, 3, rows, n).
+
+        keep: whether the filtered signals are kept for the next call.
+        """
         at = model.at(self.band.schedule)
         kind = 1 if effect.effect_class == _INERTIA else 2
         parts = self._parts_of(model, effect, shape, keep)

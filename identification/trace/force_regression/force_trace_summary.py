@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ....config.model import EffectParameter, ModelConfig, ModelEffect
 from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
+from ...json_data import plain_json
 from .reported_errors import PooledError
 from .search import Rated
 from .trace_imported import ForceTrace, pooled_errors
@@ -71,7 +72,8 @@ class ForceOutcome:
     """The result of a trace of imported records in numbers.
 
     before, after: errors on the reported rows. metric: what measures them; `before_rms`,
-    `after_rms` in its unit. free_form: what a free form of all signals leaves of the force (n,).
+    `after_rms` in its unit. free_form (n,): what a
+    free form of all signals leaves of the force in the fitted rows.
     """
 
     laws: tuple[FoundLaw, ...]
@@ -102,7 +104,8 @@ class ForceOutcome:
     def rest(self) -> str:
         """What the model leaves of the force, in a clause."""
         left = [
-            f"{after:.3g} % of the force at {name} (a free form of all signals {form:.3g} %)"
+            f"{after:.3g} % of the force at {name} (a free form of all signals leaves {form:.3g} % "
+            "of the fitted rows)"
             for name, after, form in zip(
                 self.dof, self.after.force_percent, self.free_form, strict=True
             )
@@ -116,10 +119,12 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
     free_run = bool(np.all(np.isfinite(after.error)) and np.all(np.isfinite(before.error)))
     if free_run:
         sd = trace.noise_sd
-        sizes = [float(np.sqrt(np.mean((e.error / sd) ** 2))) for e in (before, after)]
+        sizes = [
+            float(np.sqrt(np.mean((e / sd) ** 2))) for e in (before.error, after.error, after.floor)
+        ]
     else:
         sizes = [float(np.sqrt(np.mean(e.force_percent**2))) for e in (before, after)]
-    floor = 1.0 if free_run and trace.noise_stated else None
+    floor = sizes[2] if free_run and trace.noise_stated else None
     return ForceOutcome(
         _laws(trace),
         "free_run" if free_run else "force",
@@ -143,7 +148,7 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
     found = force_outcome(trace)
     force = [float(np.sqrt(np.mean(e.force_percent**2))) for e in (found.before, found.after)]
     dof = trace.places.dof
-    plain: dict[str, Any] = _plain(
+    plain: dict[str, Any] = plain_json(
         {
             "effects": [_effect(law) for law in found.laws],
             "validation": {
@@ -313,15 +318,3 @@ def _named(rated: Rated) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

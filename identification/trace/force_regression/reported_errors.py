@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ...greybox.free_run_noise_floor import floor_rms
 from ...greybox.intersample_input import Hold
 from ...greybox.noise_model import Noise
 from ...greybox.validation import metric_of
@@ -33,39 +34,40 @@ _DIVERGED = 100.0
 class ReportedError:
     """Errors of one record, each (n,), in SI units.
 
-    error: RMS of the free-run simulation, nan without one; output, force_acting: standard
-    deviations of output and input force; force: of the missing force; settled: whether the
-    simulation with effects converged.
+    error: RMS of the free-run simulation, nan without one. floor: what the stated noise of the
+    outputs alone leaves of it in the record's loop, nan if it is not stated. output, force_acting,
+    force: standard deviations of the output, of the acting and of the missing force. settled:
+    whether the simulation with effects converged.
     """
 
     record: str
     seconds: float
     error: Array
+    floor: Array
     output: Array
     force: Array
     force_acting: Array
     settled: bool
 
 
-def output_noise(records: Sequence[TraceRecord]) -> tuple[Array, bool]:
-    """Return the noise of each output (n,), with quantisation, and whether all records state it.
+def output_noise(records: Sequence[TraceRecord]) -> Array:
+    """Return the noise of each output (n,), with quantisation, as stated or estimated.
 
     What is not stated comes from the upper half of the frequencies, where there is more than noise
     if the record is sampled slowly.
     """
-    found, stated = [], True
+    found = []
     for record in records:
         e = record.experiment
         n = e.y.shape[1]
         own = np.full(n, np.nan) if e.noise_sd is None else e.noise_sd
-        stated &= bool(np.all(np.isfinite(own)))
         step = np.full(n, np.nan) if e.resolution is None else e.resolution
         seen = np.array([_step(column) for column in e.y.T])
         step = np.where(np.isfinite(step), step, np.where(np.isfinite(own), 0.0, seen))
         sd = np.where(np.isfinite(own), np.hypot(own, step / np.sqrt(12.0)), white_noise(e.y))
         found.append(np.maximum(sd, step / np.sqrt(12.0)))
     spread = np.max([r.experiment.y.std(axis=0) for r in records], axis=0)
-    return np.maximum(np.median(found, axis=0), _ROUNDING * spread), stated
+    return np.asarray(np.maximum(np.median(found, axis=0), _ROUNDING * spread))
 
 
 def _step(values: Array) -> float:
@@ -82,19 +84,32 @@ def _step(values: Array) -> float:
 
 
 def reported_error(
-    point: ForceModel, record: TraceRecord, seen: ForceRecord, hold: Hold, sd: Array
+    point: ForceModel,
+    record: TraceRecord,
+    seen: ForceRecord,
+    hold: Hold,
+    sd: Array,
+    stated: Noise | None,
 ) -> ReportedError:
-    """Return the errors of a model on a record; seen: the same record below the band's limit."""
+    """Return the errors of a model on a record.
+
+    seen: the same record below the band's limit. sd (n,): noise of the outputs. stated: the noise
+    that the records state, None if they do not.
+    """
     missing = seen.missing_force(point)
     acting = seen.acting_force(point)
     e = record.experiment
-    error, settled = np.full(e.y.shape[1], np.nan), True
+    error = floor = np.full(e.y.shape[1], np.nan)
+    settled = True
     if metric_of(point.model, e) == "free_run":
         error, settled = _simulated(point, record, missing, seen, hold, sd)
+        if stated is not None:
+            floor = floor_rms(point.model, e, hold, stated)
     return ReportedError(
         record.name,
         record.rows * e.Ts_s,
         error,
+        floor,
         e.y.std(axis=0),
         missing.std(axis=0),
         acting.std(axis=0),
@@ -124,9 +139,13 @@ def _simulated(
 
 @dataclass(frozen=True)
 class PooledError:
-    """Errors of all records (n,): RMS, in per cent of the output, and in per cent of the force."""
+    """Errors of all records (n,): RMS, in per cent of the output, and in per cent of the force.
+
+    floor: as ReportedError.floor.
+    """
 
     error: Array
+    floor: Array
     percent: Array
     force_percent: Array
 
@@ -142,6 +161,7 @@ class PooledError:
         with np.errstate(divide="ignore", invalid="ignore"):
             return cls(
                 rms("error"),
+                rms("floor"),
                 100.0 * rms("error") / rms("output"),
                 100.0 * rms("force") / rms("force_acting"),
             )

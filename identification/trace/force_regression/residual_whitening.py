@@ -17,8 +17,8 @@ from scipy.signal import welch
 
 Array = NDArray[np.float64]
 
-_SEGMENTS = 8
-"""Segments of the shortest record for its spectrum."""
+_SEGMENTS = 4
+"""Lengths of a segment in the shortest record; segments overlap by half."""
 _LEAST_ROWS = 16
 
 
@@ -58,7 +58,7 @@ def whitening_of(residuals: Sequence[Array], row_s: Sequence[float], cutoff_hz: 
     shortest = min(len(r) * s for r, s in zip(residuals, row_s, strict=True))
     spectra = []
     for r, s in zip(residuals, row_s, strict=True):
-        segment = max(int(shortest / s) // (_SEGMENTS // 2), _LEAST_ROWS)
+        segment = max(int(shortest / s) // _SEGMENTS, _LEAST_ROWS)
         spectra.append(welch(r, 1 / s, nperseg=min(segment, len(r)), axis=0))
     freq_hz = spectra[0][0]
     seconds = np.array([len(r) * s for r, s in zip(residuals, row_s, strict=True)])
@@ -72,7 +72,6 @@ def whitening_of(residuals: Sequence[Array], row_s: Sequence[float], cutoff_hz: 
 
 
 def _smoothed(density: Array) -> Array:
-    """Return the geometric mean of each value and its two neighbours."""
-    logs = np.log(np.maximum(density, np.finfo(float).tiny))
-    padded = np.vstack([logs[:1], logs, logs[-1:]])
-    return np.asarray(np.exp((padded[:-2] + padded[1:-1] + padded[2:]) / 3.0))
+    """Return the mean of each value and its two neighbours."""
+    padded = np.vstack([density[:1], density, density[-1:]])
+    return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3.0)

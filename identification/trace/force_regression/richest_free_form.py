@@ -13,7 +13,7 @@ from .force_record import ForceModel, ForceRecord
 
 Array = NDArray[np.float64]
 
-_DEGREE, _MIXED_DEGREE = 5, 2
+_DEGREE = 5
 _TURNS = (0.02, 0.15)
 """Speeds at which a friction turns, over the RMS speed."""
 _WIDE = 3.0

@@ -85,7 +85,7 @@ def search(
     progress: Progress,
 ) -> Searched:
     """Add effects to a fitted model until none is confirmed; free forms where no named one is."""
-    state = _State(point, {}, frozenset(p.effect.identity for p in point.placed), ())
+    state = _State(point, {}, ())
     nearest: list[Rated] = []
     for number in range(1, options.most_effects + 1):
         progress(f"search, effect {number}", 0.1 + 0.1 * number)
@@ -155,11 +155,10 @@ def rate(
 
 @dataclass(frozen=True)
 class _State:
-    """The model so far, the ratings of its found effects, the declared ones, and dropped ones."""
+    """The model so far, the ratings of its found effects by identity, and dropped ones."""
 
     point: ForceModel
     rated: dict[str, Rated]
-    declared: frozenset[str]
     dropped: tuple[str, ...]
 
 
@@ -213,13 +212,11 @@ def _with(
     best = with_alternatives(chosen, ranking, training.blocks, options)
     kept = tuple(p for p in state.point.placed if p is not best.instead_of)
     rated = dict(state.rated)
-    declared = state.declared
     if best.instead_of is not None:
         rated.pop(best.instead_of.effect.identity, None)
-        declared = declared - {best.instead_of.effect.identity}
     rated[best.placed.effect.identity] = best
     point = training.fit(replace(state.point, placed=(*kept, best.placed)))
-    return _State(point, rated, declared, state.dropped)
+    return _State(point, rated, state.dropped)
 
 
 def with_alternatives(
@@ -349,7 +346,7 @@ def _removed(state: _State, placed: Placed, training: Training) -> _State:
     rated = {k: r for k, r in state.rated.items() if k != identity}
     kept = tuple(p for p in state.point.placed if p is not placed)
     point = training.fit(replace(state.point, placed=kept))
-    return _State(point, rated, state.declared, (*state.dropped, identity))
+    return _State(point, rated, (*state.dropped, identity))
 
 
 def _against_rivals(state: _State, training: Training, options: SearchOptions) -> _State:
@@ -370,5 +367,5 @@ def _against_rivals(state: _State, training: Training, options: SearchOptions) -
         others = {k: r for k, r in state.rated.items() if k != identity}
         others[best.placed.effect.identity] = best
         point = training.fit(replace(rest, placed=(*kept, best.placed)))
-        state = _State(point, others, state.declared, state.dropped)
+        state = _State(point, others, state.dropped)
     return state

@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 from ....config.model import ModelConfig
 from ....model.effects.base import Effect, Places
 from ....model.effects.effect_serialization import placed_effects
-from ....model.effects.freeform import freeform_effects
 from ....model.effects.operating_range import Extent
 from ...greybox.declared_model_from_config import declared_model
 from ...greybox.force_balance.band_limited_signals import (
@@ -23,12 +22,14 @@ from ...greybox.force_balance.band_limited_signals import (
     middle_limit,
 )
 from ...greybox.free_parameters import free_parameters
+from ...greybox.identify_greybox import stated_noise
 from ...greybox.intersample_input import Hold
 from ...records.record import IdentificationError
-from ..records.check_common_session_time import overlap, timeless
+from ..records.check_common_session_time import overlap
 from ..records.initial_guesses import extent
 from ..records.read_records import read_records
 from ..records.record_from_log import TraceRecord
+from ..records.searched_effects import searched_effects
 from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
 from .held_out_gain import Blocks
@@ -42,10 +43,8 @@ from .training_records import Training, missing_share
 
 Array = NDArray[np.float64]
 
-_ROWS_PER_BLOCK, _FEWEST_BLOCKS = 2, 8
-"""Independent values of a block, and blocks, at least: fewer have no scatter to judge by."""
-_WORSE = 1.5
-"""Ratio of missing forces above which a fit with weights is worse than one without."""
+_ROWS_PER_BLOCK = 2
+"""Independent values of a block, at least: one has no error beside what it fits."""
 _MIDDLE = BAND_STEPS[len(BAND_STEPS) // 2]
 
 
@@ -54,10 +53,10 @@ class ForceTrace:
     """The result of a trace of imported records.
 
     declared: the refitted model without new effects; found: the search's result; errors: standard
-    errors of its numbers. before, after: errors on the reported rows, `free_form` (n,): what a free
-    form of all signals leaves there of the force, in per cent. noise_sd (n,): of each output;
-    noise_stated: whether the signals files state it. fitted, reported: the records below the band's
-    limit `limit_hz`.
+    errors of its numbers. before, after: errors on the reported rows. free_form (n,): what a free
+    form of all signals leaves of the acting force in the fitted rows, in per cent. noise_sd (n,):
+    of each output; noise_stated: whether the signals files state it. fitted, reported: the records
+    below the band's limit `limit_hz`.
     """
 
     config: ModelConfig
@@ -118,7 +117,7 @@ def _traced(
 ) -> ForceTrace:
     _require_rows(records, options)
     hold = config.input
-    sd, stated = output_noise(records)
+    sd = output_noise(records)
     limit_hz = middle_limit([r.experiment for r in records], hold)
     limit_hz = min(limit_hz, *(acceleration_limit(r.experiment, sd) for r in records))
     options = replace(options, blocks=_blocks(records, limit_hz, options))
@@ -138,19 +137,9 @@ def _traced(
         placed_effects(config.effects, places, covered),
     )
     training, declared = _weighed(start, fitted, limit_hz, options)
-    known = {p.effect.identity for p in declared.placed}
-    named = [e for e in effects(places, covered) if e.identity not in known]
-    named = [e for e in named if not any(w.startswith("sensor") for w in e.where)]
-    free = [e for e in freeform_effects(places, covered) if e.where[0] in places.dof]
-    overlapping = overlap(records)
-    if overlapping:
-        named, timed = timeless(named, places, covered)
-        free, _ = timeless(free, places, covered)
-        if timed:
-            kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
-            note = f"{overlapping} overlap: effects that depend on session time"
-            notes = (*notes, f"{note} are not searched ({kinds})")
-    found = search(declared, named, free, training, options, progress)
+    table = searched_effects(effects, declared.placed, places, covered, overlap(records))
+    free = [e for e in table.free if e.where[0] in places.dof]
+    found = search(declared, table.named, free, training, options, progress)
 
     progress("intervals", 0.9)
     others = [
@@ -160,9 +149,10 @@ def _traced(
     ]
     errors = standard_errors(found.point, training, others)
     progress("reporting on unseen rows", 0.95)
+    noise = stated_noise([r.experiment for r in records])
     before, after = (
         tuple(
-            reported_error(point, record, seen, hold, sd)
+            reported_error(point, record, seen, hold, sd, noise)
             for record, seen in zip(kept, reported, strict=True)
         )
         for point in (declared, found.point)
@@ -172,8 +162,8 @@ def _traced(
     acting = [r.acting_force(found.point) for r in fitted]
     free_form = 100.0 * _rms(left) / _rms(acting)
     return ForceTrace(
-        config, places, declared, found, errors, before, after, free_form, sd, stated, limit_hz,
-        fitted, reported, notes, options,
+        config, places, declared, found, errors, before, after, free_form, sd, noise is not None,
+        limit_hz, fitted, reported, (*notes, *table.notes), options,
     )  # fmt: skip
 
 
@@ -196,7 +186,7 @@ def _weighed(
     weighed = weighed.with_scale(weighed.at(point), options.told_from_model)
     better = weighed.first_fit(point)
     flat_at, better_at = (training.plain().at(p) for p in (point, better))
-    if np.any(missing_share(better_at) > _WORSE * missing_share(flat_at)):
+    if np.any(missing_share(better_at) > options.worse * missing_share(flat_at)):
         return training, point  # the weights follow noise in the motion, not what is missing
     return weighed, better
 
@@ -254,13 +244,13 @@ def _blocks(records: Sequence[TraceRecord], limit_hz: float, options: SearchOpti
         )
     seconds = (1.0 - options.reported) * sum(r.rows * r.experiment.Ts_s for r in records)
     independent = 2.0 * seconds * limit_hz
-    least = _ROWS_PER_BLOCK * _FEWEST_BLOCKS
+    least = _ROWS_PER_BLOCK * options.fewest_blocks
     if independent < least:
         raise IdentificationError(
             f"expected at least {least} independent values to fit ({_ROWS_PER_BLOCK} in each of "
-            f"{_FEWEST_BLOCKS} blocks of time), found {independent:.0f}: {seconds:.3g} s below "
-            f"{limit_hz:.3g} Hz, where every output is ten times above its noise. Record longer, "
-            "excite more, or filter less"
+            f"{options.fewest_blocks} blocks of time), found {independent:.0f}: {seconds:.3g} s "
+            f"below {limit_hz:.3g} Hz, where every output is ten times above its noise. Record "
+            "longer, excite more, or filter less"
         )
     return min(options.blocks, int(independent / _ROWS_PER_BLOCK))
 

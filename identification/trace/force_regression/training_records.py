@@ -41,8 +41,8 @@ class Evaluated:
 
     missing: weighed missing force of each record (rows, n), times `share`. groups: weighed forces
     of inputs, inertia and all else (3, rows, n). power (n,): sum of squares of those that set the
-    scale. share
-    (n,): root of the power without effects over that with them, at least 1.
+    scale. share (n,): root of the power without effects over that with them, at least 1; relative
+    to Training.reference where that is given.
     """
 
     point: ForceModel
@@ -115,7 +115,7 @@ class Training:
             ],
             axis=0,
         )
-        return forces, along / np.maximum(at.power, np.finfo(float).tiny)
+        return forces, along / np.maximum(at.power, _TINY)
 
     def effect_columns(self, at: Evaluated, placed: Placed) -> list[Array]:
         """Return the columns of an effect's amplitudes and shape, each record (c, rows, n)."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from effect_test_helpers import rig_places
 from mass_on_spring_logs import MASS as CONFIG
-from mass_on_spring_logs import imported
+from mass_on_spring_logs import SIGNALS, imported
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
@@ -57,6 +57,13 @@ def test_too_little_data_are_rejected_with_the_required_length(tmp_path: Path) -
     short = [settled_response(i, 3.0, NOISE_M) for i in range(4)]
     with pytest.raises(IdentificationError, match=r"at least 20 s .* found 9 s in 3 records"):
         traced(logs(tmp_path, short))
+
+
+def test_unknown_controller_is_refused_where_the_loop_is_simulated(tmp_path: Path) -> None:
+    columns = SIGNALS + "loop: {controller: unknown}\n"
+    log = imported(tmp_path, "loop", settled_response(1, 60.0, NOISE_M), columns)
+    with pytest.raises(IdentificationError, match=r"record 'loop': loop: .* found 'unknown'"):
+        traced([log])
 
 
 def test_records_without_noise_are_rejected(tmp_path: Path) -> None:

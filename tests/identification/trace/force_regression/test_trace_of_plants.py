@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,6 +142,15 @@ def test_nothing_is_named_on_a_linear_pendulum():
     for name, true in (("j", 0.1), ("d", 0.05), ("k", 1.0)):
         assert fitted[name].se is not None
         assert abs(fitted[name].value - true) < 4.0 * fitted[name].se  # one in 16,000
+
+
+def test_stated_noise_gives_a_floor_that_a_true_model_reaches():
+    stated = replace(pendulum(3, linear=True), noise_sd=np.array([1e-3]))
+    validation = force_summary(traced(PENDULUM, stated))["validation"]
+    # In open loop the noise of the output alone moves nothing: one standard deviation.
+    assert validation["noise_floor"] == pytest.approx(1.0, rel=1e-3)
+    # 1500 rows scatter by 2 %; the fitted model adds as much.
+    assert validation["after"] == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -101,8 +101,8 @@ def _pendulum() -> dict[str, Case]:
     return {"pendulum": Case("QUBE-Servo", (str(PENDULUM / "qube.csv"),), (signals,), model)}
 
 
-def identified(case: Case, data: Path, folder: Path) -> tuple[dict[str, Any], float]:
-    """Import and identify; return the JSON of `levid identify`, and its time in s."""
+def run_levid(verb: str, case: Case, data: Path, folder: Path) -> tuple[dict[str, Any], float]:
+    """Import, and identify or trace; return the JSON of `levid VERB`, and its time in s."""
     logs = []
     for number, (file, signals) in enumerate(zip(case.files, case.signals, strict=True)):
         described, log = folder / f"{number}.yaml", folder / f"{number}.mcap"
@@ -111,7 +111,7 @@ def identified(case: Case, data: Path, folder: Path) -> tuple[dict[str, Any], fl
         logs.append(str(log))
     model = folder / "model.yaml"
     model.write_text(yaml.safe_dump(dict(case.model)))
-    command = [sys.executable, "-m", "levid.cli.main", "identify", *logs, "--model", str(model)]
+    command = [sys.executable, "-m", "levid.cli.main", verb, *logs, "--model", str(model)]
     begun_s = time.monotonic()
     done = subprocess.run(
         [*command, "--out", str(folder / "out"), "--json"],
@@ -128,7 +128,7 @@ def measure(data: Path, names: Sequence[str]) -> Iterator[Figure]:
         if (names and key not in names) or not all((data / file).exists() for file in case.files):
             continue
         with tempfile.TemporaryDirectory() as folder:
-            found, seconds = identified(case, data, Path(folder))
+            found, seconds = run_levid("identify", case, data, Path(folder))
         poles = [_pole(mode) for point in found["points"] for mode in point["model"]["modes"]]
         yield Figure(f"{key}_pole", max(poles), "1/s", f"{case.label}: largest real pole, no model")
         grey = found["grey_box"]

@@ -40,7 +40,7 @@ Generator = np.random.Generator
 
 SEEDS, QUICK = 20, 1
 FIRST_SEED = 120_000
-"""No plant of these seeds was used to develop the trace."""
+"""No plant of these seeds was used to develop the trace; plants of these kinds were."""
 OFF = (0.1, 0.2)
 """Relative errors of the declared parameters, of random sign."""
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -55,7 +56,26 @@ def effects(places: Places) -> list[Effect]:
                 told_apart_by="two amplitudes of excitation",
             )
         )
+    found += _across(places, effect_class)
     return found + (_of_plates(places) if places.beam else _with_positions(places))
+
+
+def _across(places: Places, effect_class: str) -> list[Effect]:
+    """Return damping that couples two DOFs; models mostly declare it for each DOF alone."""
+    return [
+        Effect(
+            f"{effect_class}.across",
+            "Damping across two DOFs",
+            effect_class,
+            (places.dof[i], places.dof[j]),
+            "force = -d q', q' of the other DOF",
+            (Quantity("d", f"{places.force_unit(i)} s/{places.dof_units[j]}"),),
+            partial(_coupled, pair=(i, j)),
+            absorbed_by="declared damping that couples these DOFs",
+            told_apart_by="excitation of both DOFs around their resonances",
+        )
+        for i, j in combinations(range(len(places.dof)), 2)
+    ]
 
 
 def _of_plates(places: Places) -> list[Effect]:
@@ -136,6 +156,13 @@ def _with_positions(places: Places) -> list[Effect]:
         )
         for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
     ]
+
+
+def _coupled(signals: Signals, _shape: Sequence[float], *, pair: tuple[int, int]) -> list[Term]:
+    force = np.zeros_like(signals.qd)
+    for one, other in (pair, pair[::-1]):
+        force[:, one] = -signals.qd[:, other]
+    return [Term(force=force)]
 
 
 def _linear(signals: Signals, _shape: Sequence[float], *, dof: int) -> list[Term]:

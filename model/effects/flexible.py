@@ -27,7 +27,7 @@ _MODES_HZ = (25.0, 45.0, 80.0, 140.0, 280.0)
 _HIGHER_HZ = (45.0, 110.0, 280.0)
 _HIGHER = ("wave_x", "wave_y", "egg_box")
 """Patterns that are rarely the first bending mode of a plate."""
-_LOOSE_HZ = (15.0, 30.0, 60.0)
+_LOOSE_HZ = (7.5, 15.0, 30.0, 60.0)
 _DAMPING = 0.08
 """Damping ratio to start from, so large that neighbouring grid frequencies overlap."""
 
@@ -45,7 +45,10 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             (Quantity("m", f"{places.force_unit(i)} s^2/{unit}", 0.0),),
             partial(_loose_mass, dof=i),
             _resonance(),
-            tuple((f, _DAMPING) for f in _LOOSE_HZ),
+            (
+                *((f, _DAMPING) for f in _LOOSE_HZ),
+                *((f, zeta) for at, f, zeta in extent.dof_resonances if at == i),
+            ),
             absorbed_by="far below its frequency: mass",
             told_apart_by="excitation up to its frequency",
         )

@@ -25,6 +25,13 @@ from .base import Effect, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import bouc_wen, dahl, lugre, slip
 from .operating_range import Extent
 
+LAWS = tuple(
+    f"friction.{law}"
+    for law in ("coulomb", "stribeck", "coulomb_asymmetric", "stribeck_asymmetric", "dahl",
+                "bouc_wen", "lugre", "maxwell_slip")
+)  # fmt: skip
+"""Keys of the laws of friction between a DOF and the frame. They exclude each other."""
+
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of the Maxwell elements, relative to the smallest."""
 _WIDE = 1e3

@@ -34,7 +34,9 @@ class Extent:
     fastest_hz: highest frequency without aliasing at the lowest sampling rate. late_s: sum of the
     model's delay and lag. commands: mean and standard deviation of each actuator's command, three
     digits. resonances: bending pattern, frequency in Hz and damping ratio seen in the readings.
-    beam_rates: largest speed and acceleration of the beam and largest speed of the rotor.
+    dof_resonances: number of the DOF, frequency in Hz and damping ratio of masses on springs seen
+    in forces and motion. beam_rates: largest speed and acceleration of the beam and largest speed
+    of the rotor.
     """
 
     reach: tuple[float, ...]
@@ -52,6 +54,7 @@ class Extent:
     commands: tuple[tuple[float, float], ...] = ()
     resonances: tuple[tuple[str, float, float], ...] = ()
     beam_rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    dof_resonances: tuple[tuple[int, float, float], ...] = ()
 
     def around(self, dof: int) -> float:
         """Return the mean position of a DOF."""
@@ -74,8 +77,9 @@ class Extent:
         records: Sequence[Signals],
         tones_hz: tuple[float, ...] = MAINS_HZ,
         resonances: tuple[tuple[str, float, float], ...] = (),
+        dof_resonances: tuple[tuple[int, float, float], ...] = (),
     ) -> Extent:
-        """Return the range of records; tones_hz and resonances are those found in them."""
+        """Return the range of records; lines and resonances are those found in them."""
         shape = records[0].places.sensor_shape
         reach = _liveliest([r.q for r in records])
         places = np.concatenate([r.q for r in records]).mean(axis=0).tolist()
@@ -97,6 +101,7 @@ class Extent:
             _commands(records),
             resonances,
             _beam_rates(records),
+            dof_resonances,
         )
 
 

@@ -1,0 +1,66 @@
+"""Test scale and arm-length effects: their terms, and that they are of the rig only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from effect_test_helpers import rig_places
+
+from levid.model.effects.base import Effect, Places, Signals
+from levid.model.effects.scale_and_arm_length import effects
+
+PLACES = rig_places()
+ROWS = 50
+
+
+def moving() -> Signals:
+    rng = np.random.default_rng(1)
+    q, qd, qdd = rng.standard_normal((3, ROWS, 3))
+    still = np.zeros(ROWS)
+    return Signals(
+        1e-3, np.arange(ROWS) * 1e-3, q, qd, qdd, rng.standard_normal((ROWS, 9)),
+        still, still, still, still, still, still, delay_cycles=1, places=PLACES,
+    )  # fmt: skip
+
+
+def of(key: str) -> Effect:
+    return next(e for e in effects(PLACES) if e.key == key)
+
+
+def test_scale_of_all_sensors_is_in_proportion_to_every_reading() -> None:
+    s = moving()
+    (term,) = of("sensor_scale").build(s, ())
+    np.testing.assert_allclose(term.gap, np.stack([s.gap(i) for i in range(9)], axis=1))
+    assert of("sensor_scale").where == tuple(f"sensor:{i}" for i in range(9))
+
+
+def test_scale_of_all_coils_is_the_sum_of_the_gains_of_single_coils() -> None:
+    s = moving()
+    (term,) = of("coil_scale").build(s, ())
+    np.testing.assert_allclose(term.held, s.coil @ PLACES.coil_shape)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "tilts"), [("", (0, 1)), (".psi", (0,)), (".theta", (1,))], ids=str
+)
+def test_arms_change_tilts_and_torques_and_not_the_height(
+    suffix: str, tilts: tuple[int, ...]
+) -> None:
+    s, kept = moving(), np.zeros(3)
+    kept[list(tilts)] = 1.0
+    both, damping = of(f"arm_length.both{suffix}").build(s, ())
+    (sensors,) = of(f"arm_length.sensors{suffix}").build(s, ())
+    (coils,) = of(f"arm_length.coils{suffix}").build(s, ())
+    # The readings of a longer arm, seen as a pose by the declared one.
+    assert both.gap is not None
+    np.testing.assert_allclose(both.gap @ PLACES.decoupling.T, s.q * kept, atol=1e-12)
+    np.testing.assert_allclose(both.held, s.coil @ PLACES.coil_shape * kept, atol=1e-12)
+    np.testing.assert_allclose(damping.force, -s.qd * kept)
+    np.testing.assert_array_equal(sensors.gap, both.gap)
+    np.testing.assert_array_equal(coils.held, both.held)
+
+
+def test_without_a_known_force_scales_are_changes_of_units() -> None:
+    one, nowhere = np.eye(1), np.zeros((0, 2))
+    other = Places(("q",), ("m",), one, one, "N", ("N",), "m", nowhere, nowhere, beam=False)
+    assert effects(other) == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,14 @@ class Matrices:
     K: Array
     B: Array
     force: Array
+
+
+class Change(NamedTuple):
+    """Change of a matrix entry by a parameter: row, column, and the change, a scalar or (N,)."""
+
+    row: int
+    column: int
+    change: Array
 
 
 @dataclass(frozen=True)
@@ -164,6 +172,30 @@ class DeclaredModel:
         force = self._along((self.force,), scheduling)[:, 0]
         force[:, [not formula.names & set(self.scheduling) for formula in self.force]] = 0.0
         return force
+
+    def changes(
+        self, name: str, below: float, above: float, scheduling: Mapping[str, Array]
+    ) -> dict[str, list[Change]]:
+        """Return how M, D, K, B and force change with a parameter, entries that do not left out.
+
+        `above` less `below` are values of the parameter; scheduling variables (N,) that are not
+        given are as declared. Raises ModelError.
+        """
+        values: dict[str, float | Array] = {**self.values, **self.scheduling, **scheduling}
+        low, high = ({**values, name: value} for value in (below, above))
+        grids = {"M": self.M, "D": self.D, "K": self.K, "B": self.B, "force": (self.force,)}
+        try:
+            return {
+                key: [
+                    Change(i, j, entry.over(high) - entry.over(low))
+                    for i, row in enumerate(grid)
+                    for j, entry in enumerate(row)
+                    if name in entry.names
+                ]
+                for key, grid in grids.items()
+            }
+        except ExpressionError as error:
+            raise ModelError(str(error)) from None
 
     def _along(self, grid: Grid, scheduling: Mapping[str, Array]) -> Array:
         values: dict[str, float | Array] = {**self.values, **self.scheduling, **scheduling}

@@ -63,7 +63,7 @@ def resonances(records: Sequence[TraceRecord]) -> tuple[Resonance, ...]:
 
 
 @dataclass(frozen=True)
-class _Spectra:
+class Spectra:
     """Cross and auto spectra (F,) of force u and reading y in a pattern, means of `count`."""
 
     freq_hz: Array
@@ -72,7 +72,7 @@ class _Spectra:
     yy: Array
     count: int
 
-    def without(self, response: NDArray[np.complex128]) -> _Spectra:
+    def without(self, response: NDArray[np.complex128]) -> Spectra:
         """Subtract from y its best fit by a response (F,) to u."""
         gain = np.sum(response.conj() * self.yu) / np.sum(np.abs(response) ** 2 * self.uu)
         made = gain * response
@@ -80,7 +80,7 @@ class _Spectra:
         return replace(self, yu=self.yu - made * self.uu, yy=np.maximum(left, 0.0))
 
 
-def _strongest(spectra: _Spectra) -> list[tuple[float, float]]:
+def _strongest(spectra: Spectra) -> list[tuple[float, float]]:
     """Return frequencies and dampings of the significant resonances, found one after another."""
     if not spectra.uu.any():
         return []
@@ -97,9 +97,22 @@ def _strongest(spectra: _Spectra) -> list[tuple[float, float]]:
     return found
 
 
+def clearest(spectra: Spectra) -> tuple[float, float] | None:
+    """Return frequency and damping of the resonance that noise is least likely to imitate."""
+    if not spectra.uu.any():
+        return None
+    first, last = spectra.freq_hz[[0, -1]]
+    tried = np.exp(np.arange(np.log(first), np.log(last), _STEP))
+    sure = [_explained(spectra, f_hz, _DAMPING)[1] for f_hz in tried]
+    f_hz, zeta = _fitted(spectra, float(tried[np.argmax(sure)]))
+    resolved = zeta > 1.1 * float(np.exp(_LOG_DAMPING[0]))
+    narrow = resolved and zeta <= _BROAD and _explained(spectra, f_hz, zeta)[1] >= _SURE
+    return (f_hz, zeta) if narrow else None
+
+
 def _spectra(
     records: Sequence[TraceRecord], over_sensors: Array, over_coils: Array
-) -> list[_Spectra]:
+) -> list[Spectra]:
     """Return the spectra of each pattern, for over_sensors (S, P) and over_coils (C, P)."""
     rows: dict[float, int] = {}
     for r in records:
@@ -128,7 +141,7 @@ def _spectra(
     if not count:
         return []
     each = zip(yu.T / count, uu.T / count, yy.T / count, strict=True)
-    return [_Spectra(freq_hz[use], *one, count) for one in each]
+    return [Spectra(freq_hz[use], *one, count) for one in each]
 
 
 def _response(freq_hz: Array, f_hz: float, zeta: float) -> NDArray[np.complex128]:
@@ -136,7 +149,7 @@ def _response(freq_hz: Array, f_hz: float, zeta: float) -> NDArray[np.complex128
     return np.asarray(1.0 / (1.0 - ratio**2 + 2j * zeta * ratio))
 
 
-def _explained(spectra: _Spectra, f_hz: float, zeta: float) -> tuple[float, float]:
+def _explained(spectra: Spectra, f_hz: float, zeta: float) -> tuple[float, float]:
     """Return the power of y that a resonance explains (any gain and phase), and its significance.
 
     The significance is this power over the mean that noise of the power of y would give.
@@ -151,7 +164,7 @@ def _explained(spectra: _Spectra, f_hz: float, zeta: float) -> tuple[float, floa
     return explained, explained / max(noise, 1e-300)
 
 
-def _fitted(spectra: _Spectra, f_hz: float) -> tuple[float, float]:
+def _fitted(spectra: Spectra, f_hz: float) -> tuple[float, float]:
     """Return the frequency and damping that explain most, starting near `f_hz`."""
 
     def at(p: Array) -> tuple[float, float]:

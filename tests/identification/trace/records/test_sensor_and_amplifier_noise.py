@@ -21,9 +21,9 @@ from levid.identification.greybox.free_run_noise_floor import motion_covariance
 from levid.identification.greybox.noise_covariance_scaling import correlation
 from levid.identification.greybox.noise_model import Noise
 from levid.identification.greybox.prediction_errors import predict
-from levid.identification.trace.records.initial_guesses import tones
 from levid.identification.trace.records.record_from_log import TraceRecord, split
 from levid.identification.trace.records.sensor_and_amplifier_noise import disturbance, sensor_noise
+from levid.identification.trace.records.spectral_lines import spectral_lines
 from levid.model.controller import pi_controller
 from levid.model.effects.base import Places
 
@@ -193,7 +193,7 @@ def test_tone_frequency_is_found_between_the_bins(rig: ModuleType) -> None:
     t = made.time_s
     for f_hz in (17.03, 49.87, 120.44):
         line = 5e-8 * np.sin(2 * np.pi * f_hz * t)
-        found = tones([replace(made, gap=made.gap + line[:, None])])
+        found = spectral_lines([replace(made, gap=made.gap + line[:, None])])
         # Bins are 1 / 9 Hz apart; interpolation of three bins of a Hann window is accurate to a
         # twentieth of that for a line 100 times above the noise.
         assert len(found) == 1
@@ -205,7 +205,7 @@ def test_tones_in_one_sensor_and_in_all_sensors_are_found(rig: ModuleType) -> No
     gap = made.gap.copy()
     gap[:, 5] += 5e-8 * np.sin(2 * np.pi * 30.0 * made.time_s)
     gap += 1e-7 * np.sin(2 * np.pi * 50.0 * made.time_s)[:, None]
-    found = tones([replace(made, gap=gap)])
+    found = spectral_lines([replace(made, gap=gap)])
     assert len(found) == 2
     assert found[0] == pytest.approx(50.0, abs=0.006)  # the strongest first
     assert found[1] == pytest.approx(30.0, abs=0.02)
@@ -217,12 +217,12 @@ def test_white_noise_and_excited_records_give_no_tone(rig: ModuleType) -> None:
     # probability (1 + 30 / 13)^-13 = 2e-7: 0.05 in 8 records with 10 spectra of 3500 bins.
     for seed in range(8):
         noise = np.random.default_rng(seed).normal(0.0, 1e-7, made.gap.shape)
-        assert tones([replace(made, gap=noise)]) == ()
-    assert tones([record(rig, 30, mains_hum(8000, 1.0), v_logged=True)]) == ()
+        assert spectral_lines([replace(made, gap=noise)]) == ()
+    assert spectral_lines([record(rig, 30, mains_hum(8000, 1.0), v_logged=True)]) == ()
 
 
 def test_platform_motion_by_noise_gives_no_tone(rig: ModuleType) -> None:
-    assert tones([still(rig, 100 + seed, 8.0) for seed in range(20)]) == ()
+    assert spectral_lines([still(rig, 100 + seed, 8.0) for seed in range(20)]) == ()
 
 
 def named(record: TraceRecord, name: str, kind: str) -> TraceRecord:

@@ -31,7 +31,9 @@ _TO_HZ = 250.0
 _MOST_TRUST = 1e3
 _NOISE_REACH = 21.0
 _MOST_FILTERS = 8
-_PASSES = 2
+_MOST_PASSES, _SETTLED = 4, 0.01
+"""Passes over a record at most; they end where the motion changes by this share of the noise, or by
+more than half as much as before. Of a scale error of 8 %, each leaves 8 % of what was left."""
 
 
 @dataclass(frozen=True)
@@ -125,10 +127,14 @@ def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Sign
     closely = filter_of(point, record, at, _MOST_TRUST)
     normal = filter_of(point, record, at, point.trust)
     signals = measured_signals(record, at, record.experiment.y, closely, point.lag_s)
-    for _ in range(_PASSES if point.placed else 0):
-        added = total([p.term(signals) for p in point.placed])
+    noise_sd, change = np.sqrt(point.disturbance.noise.output_variance), np.inf
+    for _ in range(_MOST_PASSES if point.placed else 0):
+        added, before = total([p.term(signals) for p in point.placed]), signals.q
         corrected, driven = corrected_experiment(point, record, at, added)
         signals = measured_signals(record, driven, corrected.y, normal, point.lag_s)
+        last, change = change, np.sqrt(np.mean(((signals.q - before) / noise_sd) ** 2))
+        if change < _SETTLED or not change < 0.5 * last:
+            break
     if point.placed:
         added = total([p.term(signals) for p in point.placed])
     return signals, added

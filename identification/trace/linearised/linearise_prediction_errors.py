@@ -222,7 +222,7 @@ def _parameter_forcings(point: WorkingPoint, bank: FilterBank, s: Signals) -> It
         forcing = np.zeros((s.rows, 2 * s.q.shape[1]))
         if timing:
             forcing += _timing_forcing(bank, low, high)
-        force, dB = _force_of(bank.record, low, high, s)
+        force, dB = _force_of(bank.record, point.model, name, (below, above), s)
         if np.any(force):
             forcing += bank.force_forcing(force)
         if np.any(dB):
@@ -268,26 +268,28 @@ def _timing_forcing(bank: FilterBank, low: DeclaredModel, high: DeclaredModel) -
 
 
 def _force_of(
-    record: TraceRecord, low: DeclaredModel, high: DeclaredModel, s: Signals
+    record: TraceRecord,
+    model: DeclaredModel,
+    name: str,
+    between: tuple[float, float],
+    s: Signals,
 ) -> tuple[Array, Array]:
-    """Return the difference of two models along a record: force (N, n) and B (N or 1, n, p)."""
+    """Return the change by a parameter along a record: force (N, n) and B (N or 1, n, p)."""
     e = record.experiment
     schedule = (
         dict(e.schedule) if e.moving else {k: np.array([v.mean()]) for k, v in e.schedule.items()}
     )
-    lower, upper = low.over(schedule), high.over(schedule)
+    changes = model.changes(name, *between, schedule)
     force = np.zeros_like(s.q)
-    for difference, values in (
-        (upper.M - lower.M, s.qdd),
-        (upper.D - lower.D, s.qd),
-        (upper.K - lower.K, s.q),
-    ):
-        if np.any(difference):
-            force -= np.einsum(
-                "nij,nj->ni",
-                np.broadcast_to(difference, (len(values), *difference.shape[1:])),
-                values,
-            )
+    for key, values in (("M", s.qdd), ("D", s.qd), ("K", s.q)):
+        for i, j, change in changes[key]:
+            force[:, i] -= change * values[:, j]
     if e.moving:
-        force += high.moving_force(schedule) - low.moving_force(schedule)
-    return force, upper.B - lower.B
+        for _, j, change in changes["force"]:
+            if model.force[j].names & set(model.scheduling):
+                force[:, j] += change
+    rows = len(next(iter(schedule.values()))) if schedule else 1
+    dB = np.zeros((rows if changes["B"] else 1, len(model.B), len(model.B[0])))
+    for i, j, change in changes["B"]:
+        dB[:, i, j] = change
+    return force, dB

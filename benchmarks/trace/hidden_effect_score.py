@@ -181,9 +181,10 @@ def _in_common(where: frozenset[str], case: Case) -> float:
 
 def _report(effect: Mapping[str, Any]) -> _Report:
     evidence = effect.get("evidence", {})
+    members = effect["alternatives"] if effect["class"] == "ambiguous" else [effect]
     options = tuple(
         _Named(o["class"], frozenset(o["where"]), (o["where"] or [""])[0])
-        for o in (effect, *evidence.get("alternatives", []))
+        for o in (*members, *evidence.get("alternatives", []))
     )
     doubtful = bool(evidence.get("perhaps_part_of"))
     return _Report(options, frozenset(evidence.get("signals", [])), doubtful)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,7 +64,9 @@ class Evidence:
     statistic: agreement of the effect's prediction with the errors of held-out records (if `held`),
     else between time blocks of the training records, in standard deviations of chance. explained:
     reduction of the cross-validated squared error; `share`: the same over the squared error above
-    noise at that time, None if that was negligible. `alternatives` fit as well.
+    noise at that time, None if that was negligible. `alternatives` are not told from it by these
+    records. support: share of resamples of the blocks that choose the effect or one of these;
+    shares: of resamples in which each of [the effect, *alternatives] fits best.
     """
 
     statistic: float
@@ -73,6 +75,8 @@ class Evidence:
     share: float | None
     round: int
     alternatives: tuple[Effect, ...]
+    support: float = math.nan
+    shares: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,17 @@ class FoundEffect:
     def unknown(self) -> bool:
         """Whether it is a free form, not a known effect."""
         return self.effect.effect_class == "unknown"
+
+    @property
+    def others(self) -> tuple[Effect, ...]:
+        """Effects of another class or place that these records do not tell from it."""
+        found = () if self.evidence is None else self.evidence.alternatives
+        return tuple(e for e in found if _kind(e) != _kind(self.effect))
+
+    @property
+    def name(self) -> str:
+        """Its name; those of effects that are not told from it follow."""
+        return " or ".join(dict.fromkeys([self.effect.name, *(e.name for e in self.others)]))
 
     def parameters(self) -> dict[str, EffectParameter]:
         """Return values, standard errors and units by name, amplitudes first."""
@@ -198,7 +213,7 @@ class Outcome:
     def verdict(self) -> str:
         """The result in a sentence."""
         known = [
-            f.effect.name + (f" ({PERHAPS_A_PART})" if self.perhaps_part_of(f) else "")
+            f.name + (f" ({PERHAPS_A_PART})" if self.perhaps_part_of(f) else "")
             for f in self.effects
             if not f.unknown
         ]
@@ -249,7 +264,7 @@ def outcome(trace: Trace) -> Outcome:
     """Return the result of a trace in numbers."""
     placed = {p.effect.identity: p for p in trace.found.point.placed}
     started = {p.effect.identity: p.effect.name for p in trace.declared.placed}
-    evidence = _evidence(trace.found.rounds)
+    evidence = _evidence(trace.found.rounds, trace.found.supports)
     before, _ = pooled(trace.before)
     after, floor = pooled(trace.after)
     taken = {
@@ -282,10 +297,12 @@ def outcome(trace: Trace) -> Outcome:
 def summary(trace: Trace) -> dict[str, Any]:
     """Return the result as dicts, lists, finite numbers and text, for JSON.
 
-    effects: name, class, where, parameters with value, standard error and unit, and evidence of
-    each; declared effects are not included. validation: metric, before, after, noise_floor (None
-    if no still record measures the noise), percent (error over output, by DOF), noise_measured,
-    per_dof, per_record. unexplained: the residual. None replaces nan.
+    effects: name, class, where, parameters with value, standard error and unit, support,
+    alternatives and evidence of each; declared effects are not included. An effect that these
+    records do not tell from one of another class or place has the class ambiguous. validation:
+    metric, before, after, noise_floor (None if no still record measures the noise), percent (error
+    over output, by DOF), noise_measured, per_dof, per_record. unexplained: the residual. None
+    replaces nan.
     """
     found = outcome(trace)
     percent = {
@@ -412,7 +429,11 @@ def _finite(value: float | None) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
 
 
-def _evidence(rounds: Sequence[Round]) -> dict[str, Evidence]:
+def _kind(effect: Effect) -> tuple[str, tuple[str, ...]]:
+    return effect.effect_class, effect.where
+
+
+def _evidence(rounds: Sequence[Round], supports: Mapping[str, float]) -> dict[str, Evidence]:
     """Return the evidence of accepted effects, by identity."""
     return {
         r.taken.effect.identity: Evidence(
@@ -422,6 +443,8 @@ def _evidence(rounds: Sequence[Round]) -> dict[str, Evidence]:
             min(r.taken.gain / r.excess, 1.0) if r.excess > _MIN_EXCESS_SHARE * r.count else None,
             number,
             tuple(t.effect for t in r.alternatives),
+            supports.get(r.taken.effect.identity, math.nan),
+            r.shares or (1.0,),
         )
         for number, r in enumerate(rounds, start=1)
         if r.taken is not None
@@ -489,7 +512,26 @@ def _effect(found: FoundEffect, places: Places, part_of: Sequence[str]) -> dict[
         for name, p in found.parameters().items()
     }
     where = sites(found.placed, places)
-    return {**_named(effect), "where": list(where), "parameters": parameters, "evidence": evidence}
+    plain: dict[str, Any] = {
+        "name": found.name,
+        "class": "ambiguous" if found.others else effect.effect_class,
+        "where": list(where),
+        "parameters": parameters,
+    }
+    if why is not None:
+        plain |= {"support": why.support, "alternatives": _members(found, why)}
+    return {**plain, "evidence": evidence}
+
+
+def _members(found: FoundEffect, why: Evidence) -> list[dict[str, Any]]:
+    """Return the effects of an ambiguous one, each with its support; none if it is not."""
+    if not found.others:
+        return []
+    kinds: dict[tuple[str, tuple[str, ...]], dict[str, Any]] = {}
+    for effect, share in zip((found.effect, *why.alternatives), why.shares, strict=False):
+        member = kinds.setdefault(_kind(effect), {**_named(effect), "support": 0.0})
+        member["support"] += share * why.support
+    return list(kinds.values())
 
 
 def _random(force: RandomForce) -> dict[str, Any]:
@@ -504,6 +546,8 @@ def _random(force: RandomForce) -> dict[str, Any]:
             "low": {"value": low, "se": None, "unit": "Hz"},
             "high": {"value": high, "se": None, "unit": "Hz"},
         },
+        "support": None,
+        "alternatives": [],
         "evidence": {
             "equation": force.equation,
             "statistic_sd": s.statistic,

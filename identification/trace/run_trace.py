@@ -23,6 +23,7 @@ from ..records.record import IdentificationError
 from .linearised.gram_matrices import BLOCK_S, Linearised
 from .linearised.linearisation_point import WorkingPoint, with_likely_noise
 from .linearised.linearise_prediction_errors import blocks_in, linearise
+from .linearised.noise_removed_by_effects import noise_removed
 from .records.check_common_session_time import overlap, require_timeless
 from .records.coil_load_history import loads_of
 from .records.initial_guesses import extent
@@ -130,7 +131,16 @@ def _trace(
     known = {p.effect.identity for p in declared.placed}
     table = searched_effects(effects, declared.placed, places, begun.covered, begun.overlapping)
     notes = (*notes, *table.notes)
-    found = search(declared, table.named, table.free, logged, progress)
+    # A random force is noise to the search: effects could only follow it. A line is not random.
+    start = declared
+    if not begun.covered.tones_hz:
+        start = _with_random_forces(declared, _shaken(declared, logged, workers))
+    if start is not declared:
+        start, _ = refine(start, logged, within=NEARLY)
+    found = search(start, table.named, table.free, logged, progress)
+    if start is not declared:
+        point = replace(found.point, disturbance=declared.disturbance)
+        found = replace(found, point=point)
     if {p.effect.identity for p in found.point.placed} == known:
         declared = found.point  # no effect was found: use the converged fit
     progress("simulating held-out records", 0.9)
@@ -139,21 +149,36 @@ def _trace(
     error, floor = pooled(after)
     shaken: tuple[RandomVibration, ...] = ()
     if not error <= _UNEXPLAINED * floor:
-        shaken = _shaken(found, logged, workers)
+        shaken = _shaken(found.point, logged, workers)
         fewer = without_followers(found, logged) if shaken else found
         if fewer is not found:
             found = fewer
             after = workers.map(partial(record_error, found.point), logged.kept)
-            shaken = _shaken(found, logged, workers)
+            shaken = _shaken(found.point, logged, workers)
     return Trace(
         config, places, declared, found, begun.fitted, begun.held,
         tuple(before), tuple(after), notes, shaken, begun.records,
     )  # fmt: skip
 
 
-def _shaken(found: Found, logged: _Logged, workers: Workers) -> tuple[RandomVibration, ...]:
-    spectra = partial(force_spectrum, found.point)
+def _shaken(point: WorkingPoint, logged: _Logged, workers: Workers) -> tuple[RandomVibration, ...]:
+    """Return the random forces in what a model leaves; none without a measured noise."""
+    if not point.disturbance.measured:
+        return ()
+    spectra = partial(force_spectrum, point)
     return shaking(workers.map(spectra, logged.fitted), workers.map(spectra, logged.kept))
+
+
+def _with_random_forces(point: WorkingPoint, shaken: Sequence[RandomVibration]) -> WorkingPoint:
+    """Return the point with the densities of random forces added to the force noise."""
+    if not shaken:
+        return point
+    noise = point.disturbance.noise
+    factor = np.ones(len(noise.force_psd))
+    for one in shaken:
+        factor[one.dof] += one.density / noise.force_psd[one.dof]
+    raised = replace(point.disturbance, noise=noise.scaled(force=factor))
+    return replace(point, disturbance=raised)
 
 
 def _begin(
@@ -226,6 +251,9 @@ class _Logged:
 
     def with_estimated_noise(self, point: WorkingPoint) -> WorkingPoint:
         return with_likely_noise(point, self.parts)
+
+    def noise_removed(self, point: WorkingPoint) -> Array:
+        return np.concatenate(self.workers.map(partial(noise_removed, point), self.fitted))
 
     def held_error(self, point: WorkingPoint) -> HeldError:
         error, floor = pooled(self.workers.map(partial(record_error, point), self.kept))

@@ -41,16 +41,12 @@ def effect_sections(result: Outcome, views: Views) -> list[Section]:
     sections: list[Section] = []
     for found in result.effects:
         number = len(sections) + 1
-        sections.append(
-            Section(f"{number}. {found.effect.name}", tuple(_parts(found, views, number)))
-        )
+        sections.append(Section(f"{number}. {found.name}", tuple(_parts(found, views, number))))
     for force in result.shaken:
         sections.append(Section(f"{len(sections) + 1}. {force.name}", _random_parts(force)))
     for found in result.declared:
         number = len(sections) + 1
-        sections.append(
-            Section(f"{number}. {found.effect.name}", tuple(_parts(found, views, number)))
-        )
+        sections.append(Section(f"{number}. {found.name}", tuple(_parts(found, views, number))))
     return sections
 
 
@@ -185,7 +181,8 @@ def _neighbours(found: FoundEffect) -> list[str]:
     if why is not None and why.alternatives:
         names = listed([e.name for e in why.alternatives])
         how = f" What would: {telling(found)}." if telling(found) else ""
-        texts.append(f"These records do not tell it from {names}: they fit no worse.{how}")
+        first = f"{effect.name} stands for all of them here. " if found.others else ""
+        texts.append(f"{first}These records do not tell it from {names}: they fit no worse.{how}")
     elif why is not None:
         texts.append("No other effect that was fitted fits these records as well.")
     if effect.absorbed_by:

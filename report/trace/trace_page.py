@@ -55,7 +55,7 @@ def _title(result: Outcome) -> str:
     if len(result.effects) > _MOST_NAMED:
         return f"{len(result.effects)} effects found"
     if result.effects or result.shaken:
-        return listed([f.effect.name for f in result.effects] + [s.name for s in result.shaken])
+        return listed([f.name for f in result.effects] + [s.name for s in result.shaken])
     if result.significant:
         return "something unexplained"
     unknown = result.overrated or not result.noise_measured
@@ -140,6 +140,8 @@ def _sentence(found: FoundEffect, views: Views) -> str:
     effect, why = found.effect, found.evidence
     values = listed([f"{name} = {with_interval(p)}" for name, p in _shown(found)])
     text = f"{effect.name}: {values} (95 %)."
+    if found.others:
+        text = f"One of these: {found.name}. If it is {effect.name}: {values} (95 %)."
     if found.unknown:
         text = f"No known effect: {effect.name}, described by a free form."
     size = sizes(found, views)
@@ -153,9 +155,11 @@ def _sentence(found: FoundEffect, views: Views) -> str:
             f" It {share}agrees with {others} {why.statistic:.0f} standard deviations beyond "
             "chance."
         )
-        if why.alternatives:
-            names = listed([e.name for e in why.alternatives])
-            text += f" These records do not tell it from: {names}."
+        laws = [e.name for e in why.alternatives if e not in found.others]
+        if found.others:
+            text += " These records do not tell them apart."
+        if laws:
+            text += f" Other laws fit as well: {listed(laws)}."
     return text
 
 
@@ -235,7 +239,7 @@ def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
     steps = []
     for f in result.effects:
         if f.evidence is not None and f.evidence.alternatives:
-            names = listed([e.name for e in f.evidence.alternatives])
+            names = listed([e.name for e in f.others or f.evidence.alternatives])
             how = telling(f) or "another excitation"
             steps.append((f"Tell {f.effect.name} from {names}: {how}.", ""))
     if result.significant:

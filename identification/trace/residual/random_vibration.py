@@ -50,6 +50,12 @@ class RandomVibration:
     se: float
     statistic: float
 
+    @property
+    def density(self) -> float:
+        """Its two-sided density if its power were spread evenly over the band."""
+        low, high = self.band_hz
+        return self.rms**2 / (2.0 * (high - low))
+
 
 @dataclass(frozen=True)
 class ForceSpectrum:

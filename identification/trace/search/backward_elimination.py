@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ....model.effects.base import Placed
 from ..linearised.linearisation_point import WorkingPoint
 from .candidate_screening import LEAST, Round, Tried, is_internal, width
 from .gauss_newton import NEARLY, Fitted, gather, refine
 from .regression import ColumnEvidence, cross_validated, steadied
+
+Array = NDArray[np.float64]
 
 _STANDS_IN = 2e-3
 """Of what was there for two that fitted alike to it, what the first may take beside the second and
@@ -113,16 +116,21 @@ def without_idle(point: WorkingPoint, records: Fitted) -> WorkingPoint:
 
 def brought(point: WorkingPoint, train: ColumnEvidence) -> list[float]:
     """Return the increase of squared errors without each effect, the others refitted."""
+    return [float(cost.sum()) for cost in removal_costs(point, train)]
+
+
+def removal_costs(point: WorkingPoint, train: ColumnEvidence) -> list[Array]:
+    """Return what each effect takes of the squared errors of each block (B,), as `brought`."""
     train = steadied(train)
     at, base = len(point.parameters.names), list(range(train.gram.shape[1] - 1))
-    full = cross_validated(train, base).sum()
+    full = cross_validated(train, base)
     costs = []
     for p in point.placed:
         own = set(range(at, at + width(p)))
         # Without it its errors come back: what its own columns would have to explain again.
         back = _restored(train, p, sorted(own), len(p.amplitudes))
         kept = [c for c in base if c not in own]
-        costs.append(float(cross_validated(back, kept).sum() - full))
+        costs.append(cross_validated(back, kept) - full)
         at += width(p)
     return costs
 

@@ -87,6 +87,9 @@ class Records(Fitted, Protocol):
     def with_estimated_noise(self, point: WorkingPoint) -> WorkingPoint:
         """Return the point with its noise estimated anew."""
 
+    def noise_removed(self, point: WorkingPoint) -> Array:
+        """Return the squared errors of noise that effects remove, by block of training records."""
+
 
 @dataclass(frozen=True)
 class Tried:
@@ -110,7 +113,8 @@ class Round:
     """One round of the search: residual before, best candidates, accepted effect.
 
     `elsewhere`: the survivors at other shapes of their grids. instead_of: what had been taken, and
-    led less far.
+    led less far. shares: of resamples of the blocks in which each of [taken, *alternatives] fits
+    best; empty before the final comparison.
     """
 
     excess: float
@@ -121,6 +125,7 @@ class Round:
     taken: Tried | None
     alternatives: tuple[Tried, ...]
     instead_of: Effect | None = None
+    shares: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ _TELLING = 0.8
 _SIFTING_STEPS, _MOST_HEATS = 4, 4
 """Steps of a fit, after which it goes on if it is behind: once, and then as long as another such
 fall makes it the best. A yielding spring has more numbers to find than a mass on a plain one."""
+_MOST_EQUALS = 6
+"""Each is fitted in the place of the accepted effect when all are found."""
 _UNFINISHED = 0.1
 """Share of what tells two fits apart that either may still lack."""
 
@@ -38,10 +40,11 @@ def sifted(
     best_tried = found.survivors[0]
     if not any(tried.shape for tried in found.survivors):
         # What has no shape to move is where a fit would leave it already.
-        alike = tuple(t for t in found.survivors[1:] if not told_apart(t, best_tried))
+        alike = _plain_equals(found, best_tried)
         return replace(found, taken=best_tried, alternatives=alike), with_tried(point, best_tried)
     if len(found.survivors) == 1 and not found.elsewhere:
-        return replace(found, taken=best_tried), with_tried(point, best_tried)
+        alike = _plain_equals(found, best_tried)
+        return replace(found, taken=best_tried, alternatives=alike), with_tried(point, best_tried)
     only = _telling(found.survivors, train)
     before = gather(point, records.train(point, only=only)).squares
     unfinished = _UNFINISHED * max(_ALIKE * best_tried.gain, _NEAR)
@@ -75,8 +78,22 @@ def sifted(
     winner = min((fitted[0], *again), key=_squares)
     near = max(_ALIKE * (before - winner.squares), _NEAR)
     alike = tuple(one.tried for one in fitted[1:] if one.squares - winner.squares < near)
-    alike = tuple(tried for tried in alike if not told_apart(tried, winner.tried))
+    alike = tuple(t for t in alike if t.shape and not told_apart(t, winner.tried))
+    alike = (*alike, *_plain_equals(found, winner.tried))
     return replace(found, taken=winner.tried, alternatives=alike), winner.point
+
+
+def _plain_equals(found: Round, best: Tried) -> tuple[Tried, ...]:
+    """Return the best candidates of the ranking without shape that are not told from the best."""
+    equals = [
+        t
+        for t in found.ranking
+        if not t.shape
+        and t.effect.identity != best.effect.identity
+        and t.effect.effect_class != "unknown"
+        and not told_apart(t, best)
+    ]
+    return tuple(equals[:_MOST_EQUALS])
 
 
 def told_apart(tried: Tried, best: Tried) -> bool:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ....model.effects.base import Effect
+from ....model.effects.friction import LAWS
 from ..linearised.linearisation_point import WorkingPoint
 from .accepted_and_rejected_candidates import CandidateQueue
 from .backward_elimination import (
@@ -35,6 +36,7 @@ from .candidate_screening import (
     screened,
 )
 from .fit_shortlisted_candidates import sifted
+from .friction_laws import best_laws
 from .gauss_newton import NEARLY, Candidate, gather, refine
 from .held_out_test import LOWERS, helps
 from .nonrigid_screening import asked_first, worth_columns
@@ -115,6 +117,9 @@ def grown(
                 rounds.append(replace(found, taken=None))
                 continue
         found = replace(found, taken=taken)
+        if taken.effect.key in LAWS and stood_in is None:
+            found, better, squares = _of_best_law(point, found, better, effects, records)
+            taken = found.taken or taken
         better = records.with_estimated_noise(
             without_idle(_believing(better, squares, train), records)
         )
@@ -135,6 +140,24 @@ def grown(
             rounds[stood_in] = taken_instead(rounds[stood_in], taken.effect.identity)
         candidates = queue.candidates(effects)
     return Grown(point, error, tuple(rounds))
+
+
+def _of_best_law(
+    before: WorkingPoint,
+    found: Round,
+    point: WorkingPoint,
+    effects: Sequence[Effect],
+    records: Records,
+) -> tuple[Round, WorkingPoint, float]:
+    """Return round, point and squared errors with the best friction law instead of the accepted.
+
+    `before` is the point without it.
+    """
+    assert found.taken is not None
+    law, *others = best_laws(point, found.taken, effects, records)
+    taken = asked_again(before, law.tried, law.point.placed[-1], records)
+    found = replace(found, taken=taken, alternatives=tuple(m.tried for m in others))
+    return found, law.point, float(law.squares.sum())
 
 
 def agree(tried: Tried) -> bool:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
-from .backward_elimination import followers, without_guesses
+from .backward_elimination import followers, without_guesses, without_idle
 from .candidate_screening import Records, Round
+from .effects_not_told_apart import supports, with_equals
 from .forward_selection import MUCH, Grown, Progress, grown
 from .gauss_newton import FULLY, gather, refine
 from .held_out_test import LOWERS
@@ -32,6 +33,7 @@ class Found:
 
     errors: standard errors of [the model's parameters over scale, amplitudes and shapes]; nan of
     what is held. idle: by identity, names that had followed what is random, and were dropped.
+    supports: by identity, share of resamples of the blocks that choose an effect.
     """
 
     point: WorkingPoint
@@ -40,6 +42,7 @@ class Found:
     train: ColumnEvidence
     held: ColumnEvidence
     idle: frozenset[str] = frozenset()
+    supports: Mapping[str, float] = field(default_factory=dict)
 
 
 def search(
@@ -103,11 +106,13 @@ def _settled(reached: Grown, records: Records) -> Found:
     plain = with_plain_amplitudes(point, records)
     if plain is not point and records.held_error(plain).squares < (1.0 + LOWERS) * error.squares:
         point = plain
+    point, rounds = with_equals(without_idle(point, records), rounds, records)
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
     free = free_numbers(point)
     errors = np.full(len(free), np.nan)
     errors[free] = standard_errors(train, np.flatnonzero(free))
-    return Found(_with_errors(point, errors), rounds, errors, train, held)
+    chosen = supports(point, train)
+    return Found(_with_errors(point, errors), rounds, errors, train, held, supports=chosen)
 
 
 def _with_errors(point: WorkingPoint, errors: Array) -> WorkingPoint:

@@ -58,8 +58,8 @@ def test_all_records_rule_out_another_coil_as_alternative(alternatives_of):
     # A candidate with a shape may fit better than at its grid point: the fits decide.
     assert alternatives_of(tried(COIL_6, 950.0), tried(COIL_0, 900.0), saturates) == [SATURATION]
     assert alternatives_of(tried(COIL_6, 950.0), tried(COIL_0, 945.0), saturates) == [
-        COIL_0,
         SATURATION,
+        COIL_0,
     ]
 
 

@@ -1,0 +1,166 @@
+"""Find the effects that the records do not tell apart, beside all others that were found.
+
+An effect that was accepted early was compared with its rivals while others were missing. At the end
+each rival is fitted in its place, all numbers of the model with it, and the squared errors of the
+blocks decide: if their sum differs by no more than its scatter over the blocks, no data of this
+session prefer one of the two. The simplest that is not surely worse than the best stays in the
+model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.declared_model import ModelError
+from ....model.effects.base import Effect, Placed
+from ...records.record import IdentificationError
+from ..linearised.linearisation_point import WorkingPoint
+from .backward_elimination import removal_costs
+from .candidate_screening import LEAST, Records, Round, Tried, asked_again
+from .gauss_newton import FULLY, gather, refine
+from .regression import ColumnEvidence
+
+Array = NDArray[np.float64]
+
+SURE = 3.0
+"""Standard errors of a sum over the blocks above which a difference is no chance."""
+_NOTHING, _ACCURATE = 1.0, 1e-5
+"""Squared errors that differ by less are the same: one number fits as much noise, and a column of a
+moving beam is accurate to some thousandths, its square to this share of what the effect takes."""
+_RESAMPLES = 200
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect in the place of another one, fitted, with the squared errors of the blocks (B,)."""
+
+    tried: Tried
+    point: WorkingPoint
+    squares: Array
+
+
+def with_equals(
+    point: WorkingPoint, rounds: Sequence[Round], records: Records
+) -> tuple[WorkingPoint, tuple[Round, ...]]:
+    """Return the point and the rounds, each accepted effect with those not told from it.
+
+    `point` is fitted to convergence. Where a simpler effect is not told from an accepted one, it
+    takes its place.
+    """
+    checked = list(rounds)
+    for number, one in enumerate(checked):
+        taken = one.taken
+        if taken is None or not one.alternatives or _placed(point, taken.effect) is None:
+            continue
+        equals = not_told_apart(in_place(point, taken, one.alternatives, records))
+        if equals[0].tried.effect is not taken.effect:
+            taken = _in_its_place(equals[0], taken, records)
+        point = equals[0].point
+        checked[number] = replace(
+            one,
+            taken=taken,
+            alternatives=tuple(m.tried for m in equals[1:]),
+            shares=_shares([m.squares for m in equals]),
+        )
+    return point, tuple(checked)
+
+
+def _in_its_place(member: Member, taken: Tried, records: Records) -> Tried:
+    """Return a member with the gain of the effect that it replaces, asked as that one was."""
+    placed = _placed(member.point, member.tried.effect)
+    assert placed is not None
+    others = tuple(p for p in member.point.placed if p is not placed)
+    tried = replace(member.tried, gain=taken.gain, blocks=taken.blocks)
+    return asked_again(replace(member.point, placed=others), tried, placed, records)
+
+
+def in_place(
+    point: WorkingPoint, taken: Tried, rivals: Sequence[Tried], records: Records
+) -> list[Member]:
+    """Return an effect of the point and its rivals, each fitted in its place.
+
+    Rivals that cannot be fitted, or that act already, are left out.
+    """
+    own = _placed(point, taken.effect)
+    assert own is not None
+    members = [Member(taken, point, _squares(point, records))]
+    others = {p.effect.identity for p in point.placed}
+    for rival in rivals:
+        if rival.effect.identity in others:
+            continue
+        placed = Placed(rival.effect, rival.shape, rival.amplitudes)
+        instead = tuple(placed if p is own else p for p in point.placed)
+        try:
+            fitted, _ = refine(replace(point, placed=instead), records, within=FULLY)
+            squares = _squares(fitted, records)
+        except (ModelError, IdentificationError, np.linalg.LinAlgError):
+            continue  # it fits nothing, so the records tell it apart
+        at = _placed(fitted, rival.effect)
+        assert at is not None
+        tried = replace(rival, shape=at.shape, amplitudes=at.amplitudes)
+        members.append(Member(tried, fitted, squares))
+    return members
+
+
+def not_told_apart(members: Sequence[Member]) -> list[Member]:
+    """Return the simplest member that is not surely worse than the best, then its equals.
+
+    Surely is by three standard errors of the sum of the differences over the blocks; a richer one
+    must also be better by what any effect must take.
+    """
+    best = min(members, key=lambda m: float(m.squares.sum()))
+    good = [m for m in members if not _worse(m.squares, best.squares, LEAST)]
+    chosen = min(good, key=lambda m: (_numbers(m.tried.effect), m is not members[0]))
+    same = max(_NOTHING, _ACCURATE * members[0].tried.gain)
+    equals = [m for m in members if not _worse(m.squares, chosen.squares, same)]
+    return [chosen, *(m for m in equals if m is not chosen)]
+
+
+def supports(point: WorkingPoint, train: ColumnEvidence) -> dict[str, float]:
+    """Return the share of resamples of the blocks that choose each effect, by identity.
+
+    A resample chooses an effect if what the blocks lose without it, the others refitted, is above
+    three standard errors.
+    """
+    if not point.placed:
+        return {}
+    rng = np.random.default_rng(0)
+    found = {}
+    for placed, cost in zip(point.placed, removal_costs(point, train), strict=True):
+        some = cost[rng.integers(len(cost), size=(_RESAMPLES, len(cost)))]
+        error = some.std(axis=1) / np.sqrt(len(cost))
+        found[placed.effect.identity] = float(np.mean(some.mean(axis=1) > SURE * error))
+    return found
+
+
+def _squares(point: WorkingPoint, records: Records) -> Array:
+    """Return the squared errors of the blocks (B,), with the noise that effects removed."""
+    left = np.asarray(gather(point, records.train(point)).gram[:, -1, -1])
+    return left + records.noise_removed(point)
+
+
+def _worse(squares: Array, best: Array, nothing: float) -> bool:
+    difference = squares - best
+    error = float(difference.std()) * np.sqrt(len(difference))
+    return bool(difference.sum() > max(SURE * error, nothing))
+
+
+def _shares(squares: Sequence[Array]) -> tuple[float, ...]:
+    """Return the share of resamples of the blocks in which each fit is best; equal ones share."""
+    rng, blocks = np.random.default_rng(0), len(squares[0])
+    picks = rng.integers(blocks, size=(_RESAMPLES, blocks))
+    sums = np.array([one[picks].sum(axis=1) for one in squares])
+    first = sums < sums.min(axis=0) + _NOTHING
+    return tuple((first / first.sum(axis=0)).mean(axis=1).tolist())
+
+
+def _numbers(effect: Effect) -> int:
+    return len(effect.amplitudes) + len(effect.shape)
+
+
+def _placed(point: WorkingPoint, effect: Effect) -> Placed | None:
+    return next((p for p in point.placed if p.effect.identity == effect.identity), None)

@@ -1,0 +1,87 @@
+"""Test which of several fitted effects stays, and which are not told from it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from levid.identification.trace.search import effects_not_told_apart as module
+from levid.identification.trace.search.effects_not_told_apart import Member, not_told_apart
+
+BLOCKS = 60
+
+
+def member(key: str, numbers: int, squares: Any, gain: float = 0.0) -> Member:
+    effect = SimpleNamespace(key=key, identity=key, amplitudes=(0,) * numbers, shape=())
+    tried = SimpleNamespace(effect=effect, gain=gain)
+    return Member(tried, SimpleNamespace(), np.asarray(squares))
+
+
+def keys(members: list[Member]) -> list[str]:
+    return [m.tried.effect.key for m in members]
+
+
+def squares(seed: int, worse: float, scatter: float) -> np.ndarray:
+    """Return squared errors that are `worse` than 1000 in the mean, and scatter by blocks."""
+    d = np.random.default_rng(seed).standard_normal(BLOCKS)
+    return 1000.0 + worse + scatter * (d - d.mean()) / d.std()
+
+
+def test_equal_effects_are_one_group_and_the_accepted_one_stays() -> None:
+    flat = np.full(BLOCKS, 1000.0)
+    found = not_told_apart([member("a", 1, flat), member("b", 1, flat), member("c", 1, flat)])
+    assert keys(found) == ["a", "b", "c"]
+
+
+def test_effect_that_is_worse_by_more_than_the_scatter_is_told_apart() -> None:
+    best = member("a", 1, squares(1, 0.0, 0.0))
+    # A sum over 60 blocks of scatter 10 has a standard error of 77; these differ by 180 and 300.
+    assert keys(not_told_apart([best, member("b", 1, squares(2, 3.0, 10.0))])) == ["a", "b"]
+    assert keys(not_told_apart([best, member("b", 1, squares(2, 5.0, 10.0))])) == ["a"]
+
+
+def test_difference_within_the_accuracy_of_the_columns_tells_nothing() -> None:
+    flat, other = np.full(BLOCKS, 1000.0), np.full(BLOCKS, 1000.1)
+    assert keys(not_told_apart([member("a", 1, flat, 1e6), member("b", 1, other)])) == ["a", "b"]
+    assert keys(not_told_apart([member("a", 1, flat, 1e5), member("b", 1, other)])) == ["a"]
+
+
+def test_richer_effect_replaces_a_simpler_one_only_if_it_is_surely_better() -> None:
+    simple = member("simple", 1, squares(3, 0.0, 0.0))
+    # By two and by four standard errors.
+    better = member("rich", 4, squares(4, -2 * 10 / np.sqrt(BLOCKS), 10.0))
+    surely = member("rich", 4, squares(4, -4 * 10 / np.sqrt(BLOCKS), 10.0))
+    assert keys(not_told_apart([simple, better])) == ["simple", "rich"]
+    assert keys(not_told_apart([simple, surely])) == ["rich"]
+    # Little is not worth more numbers, however sure.
+    little = member("rich", 4, squares(4, -0.3, 0.1))
+    assert keys(not_told_apart([simple, little]))[0] == "simple"
+
+
+def test_simpler_effect_takes_the_place_of_the_accepted_one() -> None:
+    flat = np.full(BLOCKS, 1000.0)
+    assert keys(not_told_apart([member("rich", 4, flat), member("simple", 1, flat)])) == [
+        "simple", "rich",
+    ]  # fmt: skip
+
+
+def test_equal_fits_share_the_resamples() -> None:
+    flat = np.full(BLOCKS, 1000.0)
+    assert module._shares([flat, flat]) == pytest.approx((0.5, 0.5))
+    assert module._shares([flat, flat + 10.0]) == pytest.approx((1.0, 0.0))
+
+
+def test_support_is_the_share_of_resamples_with_a_sure_gain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(5)
+    strong, weak = 50.0 + rng.standard_normal(BLOCKS), 0.5 + rng.standard_normal(BLOCKS)
+    monkeypatch.setattr(module, "removal_costs", lambda *_: [strong, weak])
+    placed = tuple(SimpleNamespace(effect=SimpleNamespace(identity=k)) for k in ("strong", "weak"))
+    found = module.supports(SimpleNamespace(placed=placed), SimpleNamespace())
+    assert found["strong"] == 1.0
+    # Its mean is 3.9 standard errors: most resamples are above three.
+    assert 0.5 < found["weak"] < 1.0

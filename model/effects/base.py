@@ -229,6 +229,8 @@ class Effect:
     shape_of_unit_amplitude: Reshape | None = None
     """Function of amplitudes and shape that returns the shape with about the same effect at
     amplitudes of 1, for effects whose textbook equation has no amplitude; else None."""
+    scales_readings: bool = False
+    """Whether the first amplitude is a scale error of all readings, those of other effects too."""
 
     @property
     def name(self) -> str:
@@ -294,6 +296,18 @@ def total(terms: Sequence[Term]) -> Term:
                 before = sums[i]
                 sums[i] = part if before is None else before + part
     return Term(*sums)
+
+
+def together(placed: Sequence[Placed], signals: Signals) -> Term:
+    """Return the sum of effects; a scale error of all readings counts for the others' readings."""
+    scales = [p for p in placed if p.effect.scales_readings]
+    others = total([p.term(signals) for p in placed if not p.effect.scales_readings])
+    if not scales:
+        return others
+    if others.gap is not None:
+        factor = float(np.prod([1.0 + p.amplitudes[0] for p in scales]))
+        others = replace(others, gap=factor * others.gap)
+    return total([others, *(p.term(signals) for p in scales)])
 
 
 def resolved(effects: Sequence[Effect], fastest_hz: float) -> list[Effect]:

@@ -13,6 +13,7 @@ not separate is reported as one ambiguous effect with all its members.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -44,6 +45,7 @@ def effects(places: Places) -> list[Effect]:
             "masses, damping and stiffness, all by one factor",
         ),
     ]  # fmt: skip
+    found[0] = replace(found[0], scales_readings=True)
     for tilts, axis in (((0, 1), ""), ((0,), " along y"), ((1,), " along x")):
         where = tuple((psi, theta)[i] for i in tilts)
         suffix = "".join(f".{w}" for w in where) if axis else ""

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...config.model import ModelConfig, load_model
-from ...model.effects.base import Placed, Places, Signals, Term, total
+from ...model.effects.base import Placed, Places, Signals, Term, together, total
 from ...model.effects.effect_serialization import placed_effects
 from ...model.geometry import shape_matrix
 from ..plant_kernels import Array
@@ -112,7 +112,7 @@ class FromModel:
 
     def _sum(self, kind: str) -> Array | None:
         """Return the present sum of all effects for held, force, gap or drive; None if none."""
-        present = total([p.term(self._row) for p in self._present[kind]])
+        present = together(self._present[kind], self._row)
         both = total([present, self._past.term])
         values: Array | None = getattr(both, kind)
         return None if values is None else np.asarray(values[0])
@@ -146,7 +146,7 @@ class _Past:
         if self._rows < _FEWEST_ROWS:
             return
         along = _along(self._table[max(self._rows - self._most, 0) : self._rows], self._places)
-        sums = total([p.term(replace(along, Ts_s=self.step_s)) for p in self._placed])
+        sums = together(self._placed, replace(along, Ts_s=self.step_s))
         self.term = Term(*(None if part is None else part[-1:] for part in sums.parts))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ....model.declared_model import DeclaredModel
-from ....model.effects.base import Placed, Signals, Term, total
+from ....model.effects.base import Placed, Signals, Term, together
 from ...greybox.discretisation import Motion, motion
 from ...greybox.experiment_from_log import Experiment
 from ...greybox.free_parameters import FreeParameters
@@ -129,14 +129,14 @@ def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Sign
     signals = measured_signals(record, at, record.experiment.y, closely, point.lag_s)
     noise_sd, change = np.sqrt(point.disturbance.noise.output_variance), np.inf
     for _ in range(_MOST_PASSES if point.placed else 0):
-        added, before = total([p.term(signals) for p in point.placed]), signals.q
+        added, before = together(point.placed, signals), signals.q
         corrected, driven = corrected_experiment(point, record, at, added)
         signals = measured_signals(record, driven, corrected.y, normal, point.lag_s)
         last, change = change, np.sqrt(np.mean(((signals.q - before) / noise_sd) ** 2))
         if change < _SETTLED or not change < 0.5 * last:
             break
     if point.placed:
-        added = total([p.term(signals) for p in point.placed])
+        added = together(point.placed, signals)
     return signals, added
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ....model.effects.base import Signals, Term, total
+from ....model.effects.base import Signals, Term, together, total
 from ...greybox.control_loop import ControlLoop
 from ...greybox.discretisation import Motion, motion
 from ...greybox.free_run import (
@@ -93,7 +93,7 @@ def free_run(
         if e.loop is not None:
             coil = record.coil_excitation + _shared(record, u)
         signals = trajectory(record, q, coil, point.lag_s)
-        added = total([p.term(signals) for p in point.placed])
+        added = together(point.placed, signals)
         slopes = _slopes(point, signals, before, added)
         next_q, next_u = _simulate(point, record, at, added, first, state, q_given)
         if slopes is not None and np.all(np.isfinite(next_q)):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from effect_test_helpers import rig_places
 
-from levid.model.effects.base import Effect, Places, Signals
+from levid.model.effects.base import Effect, Placed, Places, Signals, together
 from levid.model.effects.scale_and_arm_length import effects
 
 PLACES = rig_places()
@@ -64,3 +64,20 @@ def test_without_a_known_force_scales_are_changes_of_units() -> None:
     one, nowhere = np.eye(1), np.zeros((0, 2))
     other = Places(("q",), ("m",), one, one, "N", ("N",), "m", nowhere, nowhere, beam=False)
     assert effects(other) == []
+
+
+def test_scale_of_all_sensors_acts_on_the_readings_of_other_effects_too() -> None:
+    s = moving()
+    scale, arm = 0.08, 0.05
+    placed = (
+        Placed(of("sensor_scale"), (), (scale,)),
+        Placed(of("arm_length.both"), (), (arm, 0.0)),
+    )
+    term = together(placed, s)
+    tilts = (s.q * [1.0, 1.0, 0.0]) @ PLACES.sensor_shape.T
+    whole = s.q @ PLACES.sensor_shape.T
+    assert term.gap is not None
+    np.testing.assert_allclose(whole + term.gap, (1 + scale) * (whole + arm * tilts))
+    (_, arms) = placed
+    np.testing.assert_allclose(term.held, arms.term(s).held)
+    np.testing.assert_array_equal(together((arms,), s).gap, arms.term(s).gap)

@@ -133,21 +133,19 @@ class Least:
     """The least gain and significance of a candidate, in squared errors.
 
     `excess` is what there is, `explained` what others took of it before; `little`: the free
-    simulation is near what noise leaves. `unshown`: held-out records have nothing left to explain,
-    so that of effects which they could be asked about only the drives' come into question. rubbed:
+    simulation is near what noise leaves. visible: where that of the held-out records has nothing
+    left to explain, what an effect of the platform that they know must take; 0 otherwise. rubbed:
     what friction on each DOF takes.
     """
 
     excess: float
     explained: float
     little: bool
-    unshown: bool
+    visible: float
     rubbed: Mapping[str, float] = field(default_factory=dict)
 
     def taken_by(self, tried: Tried) -> bool:
         """Return whether a candidate reaches both limits."""
-        if self.unshown and tried.held and not is_internal(tried.effect):
-            return False
         describes = DESCRIBES * (AT_FIRST if tried.shape else 1.0)
         if tried.effect.effect_class == "unknown" and tried.gain < describes * self.excess:
             return False
@@ -157,6 +155,8 @@ class Least:
             surely = -np.inf
         beside = _IN_PASSING if self.little or is_internal(tried.effect) else _BESIDE
         worth = max(_WORTH * self.excess, beside * self.explained, LEAST)
+        if tried.held and not is_internal(tried.effect):
+            worth = max(worth, self.visible)
         if tried.effect.effect_class != FRICTION:
             rubbed = max((self.rubbed.get(w, 0.0) for w in tried.effect.where), default=0.0)
             worth = max(worth, _ANOTHER_LAW * rubbed)

@@ -54,9 +54,9 @@ _MOST_GUIDES = 2
 _EXPLAINED = 1.06
 """Mean square errors of the free simulation, over what noise leaves, at which a model explains the
 records: 1.03 times the floor. A force that only the drives feel does not show there."""
-_UNSHOWN = 0.02
-"""Share of what noise leaves of the records fitted to that may be beyond it where those held out
-are explained: more is of an effect that these do not show."""
+_VISIBLE = 0.02
+"""Share of what noise leaves of the records fitted to that may be beyond it where the simulation of
+those held out is explained: more is of an effect that they do not show, or only one step ahead."""
 _CARRIERS = {"beam", "rotor"}
 """What comes between an effect and the platform is no place of the platform."""
 
@@ -181,7 +181,7 @@ def _screened(
 ) -> tuple[Round, ColumnEvidence]:
     """Screen the candidates; return the round, and the residual of the training records.
 
-    Where those held out are explained only the drives are asked, but for what they do not show.
+    Where those held out are explained only the drives are asked, unless the others are not.
     """
     internal = [c for c in candidates if is_internal(c[0])]
     asked = internal if explained else candidates
@@ -193,13 +193,14 @@ def _screened(
         asked = [*rest, *worth_columns(first, shown, records.sensor_shape, little_of_it)]
     progress(f"screening {len(asked)} candidates", share(len(rounds)))
     train = gather(point, records.train(point, asked))
-    if explained and train.excess > _UNSHOWN * float(train.count.sum()):
+    visible = _VISIBLE * float(train.count.sum()) if explained else 0.0
+    if explained and train.excess > visible:
         asked = candidates
         progress(f"screening {len(asked)} candidates", share(len(rounds)))
         train = gather(point, records.train(point, asked))
     before = rounds[0].excess - train.excess if rounds else 0.0
     little = error.squares < MUCH * error.floor
-    least = Least(train.excess, before, little, explained, _rubbed(point, train))
+    least = Least(train.excess, before, little, visible, _rubbed(point, train))
     return screened(point, asked, train, records, least), train
 
 

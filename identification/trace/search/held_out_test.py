@@ -15,8 +15,9 @@ show, so much of theirs it may cost, for parameters are fitted anew while others
 def helps(taken: Tried, error: HeldError, after: HeldError, gone: float, explained: bool) -> bool:
     """Return whether held-out records confirm an effect, by their errors before and after.
 
-    `gone`: the share of what there was to explain that it takes of the others. `explained`: there
-    is nothing to explain in the records held out.
+    `gone`: the share of what there was to explain that it takes of the others. `explained`: the
+    free simulation of the records held out has nothing left to explain. Their errors one step ahead
+    have decided then, and it must not become worse.
     """
     if abs(after.squares - error.squares) < _SAME * error.squares:
         return True
@@ -28,4 +29,4 @@ def helps(taken: Tried, error: HeldError, after: HeldError, gone: float, explain
     if not taken.held:
         costs, left = after.squares - error.squares, error.squares - error.floor
         return hardly or costs < _COSTS * gone * left
-    return not explained and after.squares < (1.0 - LOWERS) * error.squares
+    return hardly if explained else after.squares < (1.0 - LOWERS) * error.squares

@@ -61,7 +61,7 @@ def test_candidate_with_shape_parameters_that_explains_half_is_fitted(
     identity: str, share: float, chance: float, fitted: bool
 ) -> None:
     effect = NAMED[identity]
-    least = candidate_screening.Least(1e6, 0.0, little=False, unshown=False)
+    least = candidate_screening.Least(1e6, 0.0, little=False, visible=0.0)
     tried = candidate_screening.Tried(
         effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), chance
     )
@@ -84,7 +84,7 @@ def test_small_residual_of_friction_gives_no_further_effect_at_its_dof(
 ) -> None:
     """For example, eight slip elements instead of twenty leave 1/500 of the friction's share."""
     effect = NAMED[identity]
-    least = candidate_screening.Least(2e5, 1e8, little=False, unshown=False, rubbed={"psi": 1e8})
+    least = candidate_screening.Least(2e5, 1e8, little=False, visible=0.0, rubbed={"psi": 1e8})
     tried = candidate_screening.Tried(effect, effect.grid[0], 2e5, np.ones(3), (1.0,), 90.0)
     assert least.taken_by(tried) is taken
     assert least.taken_by(replace(tried, gain=3e5))
@@ -113,6 +113,6 @@ def test_initial_guess_of_a_resonance_has_a_lower_threshold(
     forms = freeform_effects(rig_places(), Extent.typical(rig_places()))
     kind = "unknown.answer.x_b" if first_guess else "unknown.psi["
     effect = next(e for e in forms if e.key.startswith(kind) and e.where == ("theta",))
-    least = candidate_screening.Least(1e6, 0.0, little=False, unshown=False)
+    least = candidate_screening.Least(1e6, 0.0, little=False, visible=0.0)
     tried = candidate_screening.Tried(effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), 9.0)
     assert least.taken_by(tried) is taken

@@ -16,11 +16,12 @@ from levid.model.effects.candidate_effects import all_effects
 
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 FLOOR = 1.75
+GAIN = 1e5
 
 
 def tried(identity: str, held: bool) -> Tried:
     effect = NAMED[identity]
-    return Tried(effect, effect.grid[0], 1e5, None, (1.0,), 100.0, held)  # type: ignore[arg-type]
+    return Tried(effect, effect.grid[0], GAIN, None, (1.0,), 100.0, held)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -37,7 +38,9 @@ def tried(identity: str, held: bool) -> Tried:
         # At the noise floor there is nothing to gain; an absent effect must cost almost nothing.
         ("dead_zone@coil:7", False, FLOOR, FLOOR * 1.001, 0.99, True, True),
         ("dead_zone@coil:7", False, FLOOR, FLOOR * 1.1, 0.99, True, False),
-        ("dead_zone@coil:7", True, FLOOR * 1.05, FLOOR, 0.99, True, False),
+        # What the simulation cannot show, the errors one step ahead have confirmed.
+        ("dead_zone@coil:7", True, FLOOR, FLOOR * 1.001, 0.99, True, True),
+        ("dead_zone@coil:7", True, FLOOR, FLOOR * 1.1, 0.99, True, False),
         # Effects on the drives alone do not move the platform.
         ("cogging@beam", True, FLOOR, FLOOR * 1.001, 0.5, True, True),
         ("cogging@beam", True, FLOOR, FLOOR * 1.1, 0.5, True, False),
@@ -58,7 +61,13 @@ def test_held_out_records_accept_or_reject_an_effect(
 
 @pytest.mark.parametrize(
     ("explained", "excess", "expected_screenings"),
-    [(False, -4e3, ["all"]), (True, -4e3, ["drives"]), (True, 7e6, ["drives", "all"])],
+    [
+        (False, -4e3, ["all"]),
+        (True, -4e3, ["drives"]),
+        # 2 % of what noise leaves are 1e4.
+        (True, 2e4, ["drives", "all"]),
+        (True, 7e6, ["drives", "all"]),
+    ],
 )
 def test_all_candidates_are_screened_if_only_fitted_records_have_a_residual(
     explained: bool, excess: float, expected_screenings: list[str], monkeypatch: pytest.MonkeyPatch
@@ -95,8 +104,8 @@ def test_all_candidates_are_screened_if_only_fitted_records_have_a_residual(
         lambda *_: None,
     )
     assert screenings == expected_screenings
-    # Explained held-out records give no evidence for effects that they show.
+    # Where the held-out simulation is explained, an effect has to take 2 % of what noise leaves.
     names = [(t.effect.effect_class, t.held) for t in screened_round.survivors]
     drives = [("cogging", True), ("cogging", False)]
-    coil = [("dead_zone", True)] * (not explained) + [("dead_zone", False)]
+    coil = [("dead_zone", True), ("dead_zone", False)]
     assert names == (coil + drives if expected_screenings[-1] == "all" else drives)

@@ -135,6 +135,15 @@ def removal_costs(point: WorkingPoint, train: ColumnEvidence) -> list[Array]:
     return costs
 
 
+def restoring(
+    evidence: ColumnEvidence, columns: Sequence[int], amplitudes: Sequence[float]
+) -> Array:
+    """Return the matrix (Q, Q) that sets amplitudes to zero in [columns, errors], first order."""
+    take = np.eye(len(evidence.size))
+    take[columns, -1] = -np.array(amplitudes) * evidence.size[columns]
+    return take
+
+
 def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | None:
     """Remove the least important effect and refit; None if all are important."""
     costs = brought(point, gather(point, records.train(point)))
@@ -154,8 +163,6 @@ def _restored(
     evidence: ColumnEvidence, placed: Placed, own: Sequence[int], amplitudes: int
 ) -> ColumnEvidence:
     """Return the evidence with an effect's amplitudes set to zero, to first order."""
-    take = np.eye(evidence.gram.shape[1])
-    columns = list(own)[:amplitudes]
-    take[columns, -1] = -np.array(placed.amplitudes) * evidence.size[columns]
+    take = restoring(evidence, list(own)[:amplitudes], placed.amplitudes)
     gram = np.einsum("ji,bjk,kl->bil", take, evidence.gram, take, optimize=True)
     return replace(evidence, gram=gram, prior=take.T @ evidence.prior @ take)

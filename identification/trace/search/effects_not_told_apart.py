@@ -21,6 +21,7 @@ from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
 from .backward_elimination import removal_costs
 from .candidate_screening import LEAST, Records, Round, Tried, asked_again
+from .equivalent_candidates import equivalents
 from .gauss_newton import FULLY, gather, refine
 from .regression import ColumnEvidence
 
@@ -44,19 +45,24 @@ class Member:
 
 
 def with_equals(
-    point: WorkingPoint, rounds: Sequence[Round], records: Records
+    point: WorkingPoint, rounds: Sequence[Round], effects: Sequence[Effect], records: Records
 ) -> tuple[WorkingPoint, tuple[Round, ...]]:
     """Return the point and the rounds, each accepted effect with those not told from it.
 
-    `point` is fitted to convergence. Where a simpler effect is not told from an accepted one, it
-    takes its place.
+    `point` is fitted to convergence. Rivals are those of the round in which it was accepted, and
+    those of `effects` that are equivalent to it beside all others. Where a simpler effect is not
+    told from an accepted one, it takes its place.
     """
-    checked = list(rounds)
+    checked, later = list(rounds), equivalents(point, effects, records)
     for number, one in enumerate(checked):
         taken = one.taken
-        if taken is None or not one.alternatives or _placed(point, taken.effect) is None:
+        if taken is None or _placed(point, taken.effect) is None:
             continue
-        equals = not_told_apart(in_place(point, taken, one.alternatives, records))
+        both = (*one.alternatives, *later.get(taken.effect.identity, ()))
+        rivals = {t.effect.identity: t for t in both}
+        if not rivals:
+            continue
+        equals = not_told_apart(in_place(point, taken, tuple(rivals.values()), records))
         if equals[0].tried.effect is not taken.effect:
             taken = _in_its_place(equals[0], taken, records)
         point = equals[0].point

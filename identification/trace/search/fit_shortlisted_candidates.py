@@ -23,7 +23,7 @@ _TELLING = 0.8
 _SIFTING_STEPS, _MOST_HEATS = 4, 4
 """Steps of a fit, after which it goes on if it is behind: once, and then as long as another such
 fall makes it the best. A yielding spring has more numbers to find than a mass on a plain one."""
-_MOST_EQUALS = 6
+MOST_EQUALS = 6
 """Each is fitted in the place of the accepted effect when all are found."""
 _UNFINISHED = 0.1
 """Share of what tells two fits apart that either may still lack."""
@@ -93,7 +93,7 @@ def _plain_equals(found: Round, best: Tried) -> tuple[Tried, ...]:
         and t.effect.effect_class != "unknown"
         and not told_apart(t, best)
     ]
-    return tuple(equals[:_MOST_EQUALS])
+    return tuple(equals[:MOST_EQUALS])
 
 
 def told_apart(tried: Tried, best: Tried) -> bool:

@@ -190,7 +190,11 @@ def steadied(evidence: ColumnEvidence) -> ColumnEvidence:
 
 def gains(evidence: ColumnEvidence) -> list[Array]:
     """Return by how much each candidate lowers the cross-validated squared errors (blocks,)."""
-    evidence = steadied(evidence)
+    return gains_beside(steadied(evidence))
+
+
+def gains_beside(evidence: ColumnEvidence) -> list[Array]:
+    """Return the same for evidence that is regularised already."""
     before = cross_validated(evidence, range(len(evidence.size) - 1))
     found = []
     for i in range(len(evidence.beside)):

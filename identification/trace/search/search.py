@@ -78,7 +78,7 @@ def search(
         if described.point is not found.point:
             point = without_guesses(described.point, records)
             found = Grown(point, records.held_error(point), rounds)
-    return _settled(found, records)
+    return _settled(found, effects, records)
 
 
 def without_followers(found: Found, records: Records) -> Found:
@@ -92,11 +92,11 @@ def without_followers(found: Found, records: Records) -> Found:
     if len(placed) == len(found.point.placed):
         return found
     fewer = replace(found.point, placed=placed)
-    settled = _settled(Grown(fewer, records.held_error(fewer), found.rounds), records)
+    settled = _settled(Grown(fewer, records.held_error(fewer), found.rounds), (), records)
     return replace(settled, idle=idle)
 
 
-def _settled(reached: Grown, records: Records) -> Found:
+def _settled(reached: Grown, effects: Sequence[Effect], records: Records) -> Found:
     """Fit the point to convergence, and return it with its residuals."""
     point, error, rounds = reached
     # What was fitted last was so while it was not known whether more would come.
@@ -106,7 +106,7 @@ def _settled(reached: Grown, records: Records) -> Found:
     plain = with_plain_amplitudes(point, records)
     if plain is not point and records.held_error(plain).squares < (1.0 + LOWERS) * error.squares:
         point = plain
-    point, rounds = with_equals(without_idle(point, records), rounds, records)
+    point, rounds = with_equals(without_idle(point, records), rounds, effects, records)
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
     free = free_numbers(point)
     errors = np.full(len(free), np.nan)

@@ -10,8 +10,8 @@ and shares a place with it. The effect is *right* if, besides,
 A plant is right if each of its effects is right by a report of its own and there is no *false
 alarm*: a report that matches none of the effects, unless it has an equivalent class (`alike`) and
 no report names the true one. If the refitted model absorbs the effect and its error is at the
-floor, to report nothing is right too (*hidden*). For a plant without effects it is right to report
-nothing, and that the rest is not significant.
+floor, not to report it is right too (*hidden*): without any effect, or with the others. For a plant
+without effects it is right to report nothing, and that the rest is not significant.
 
 A plant with an unlisted effect is right if no report is *misnamed* (has a known class that the case
 does not allow, without being marked as doubtful), if it is *described* (a report of class `unknown`
@@ -117,7 +117,8 @@ def _score_listed(
     cases: Sequence[Case], reports: Sequence[_Report], summary: Mapping[str, Any], score: Score
 ) -> Score:
     unmatched = [case for case in cases if not any(r.match(case) for r in reports)]
-    hidden = [case for case in unmatched if case.absorbed and score.before <= EXPLAINED]
+    error = score.before if len(cases) == 1 else score.after
+    hidden = [case for case in unmatched if case.absorbed and error <= EXPLAINED]
     alarms = [
         r
         for r in reports

@@ -229,6 +229,11 @@ class Effect:
     shape_of_unit_amplitude: Reshape | None = None
     """Function of amplitudes and shape that returns the shape with about the same effect at
     amplitudes of 1, for effects whose textbook equation has no amplitude; else None."""
+    contains: Mapping[str, Callable[[Sequence[float]], tuple[float, ...]]] = field(
+        default_factory=dict, compare=False
+    )
+    """Simpler laws, by key, that this one becomes without one of its amplitudes; the function
+    returns their shape for a shape of this one."""
     scales_readings: bool = False
     """Whether the first amplitude is a scale error of all readings, those of other effects too."""
 
@@ -241,6 +246,17 @@ class Effect:
     def identity(self) -> str:
         """Unique name of this effect at this location."""
         return f"{self.key}@{'+'.join(self.where)}"
+
+    def simpler(
+        self, shape: Sequence[float], table: Sequence[Effect]
+    ) -> list[tuple[Effect, tuple[float, ...]]]:
+        """Return the laws that it contains and a table has at its place, the simplest first.
+
+        Each comes with the shape that this law's shape becomes.
+        """
+        there = {e.key: e for e in table if e.where == self.where}
+        pairs = self.contains.items()
+        return [(there[key], tuple(reshape(shape))) for key, reshape in pairs if key in there]
 
 
 @dataclass(frozen=True)

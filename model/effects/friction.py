@@ -73,6 +73,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.1 * speed, 0.2), (0.6 * speed, 0.2)),
                 absorbed_by="at small amplitudes, damping",
                 told_apart_by="slow and fast motions of the same amplitude",
+                contains={"friction.coulomb": _turn},
             ),
             *([] if places.beam else _asymmetric(i, dof, force, speed, v_s)),
             Effect(
@@ -120,6 +121,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.15 * reach, 0.4, 0.1 * speed), (0.08 * reach, 0.7, 0.8 * speed)),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS + ", slow and fast",
+                contains={"friction.dahl": lambda shape: (shape[0],)},
                 initial_force_decay=partial(_remains, dof=i),
             ),
             Effect(
@@ -159,6 +161,7 @@ def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> li
             ((0.02 * speed,), (0.15 * speed,)),
             absorbed_by=absorbed,
             told_apart_by=apart,
+            contains={"friction.coulomb": tuple},
         ),
         Effect(
             "friction.stribeck_asymmetric",
@@ -172,8 +175,18 @@ def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> li
             ((0.1 * speed, 0.2), (0.6 * speed, 0.2)),
             absorbed_by=absorbed,
             told_apart_by=apart + ", slow and fast",
+            contains={
+                "friction.coulomb": _turn,
+                "friction.coulomb_asymmetric": _turn,
+                "friction.stribeck": tuple,
+            },
         ),
     ]
+
+
+def _turn(shape: Sequence[float]) -> tuple[float, ...]:
+    """Return the speed within which sliding friction with a Stribeck peak turns."""
+    return (shape[0] * shape[1],)
 
 
 def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

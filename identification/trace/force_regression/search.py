@@ -149,7 +149,7 @@ def rate(
     for _, effect, shape in screened[: options.shortlisted]:
         placed = fitted_candidate(rest, effect, shape, options.told_from_model)
         if placed is not None:
-            found.append(_rated(whole, rest, placed, instead_of))
+            found.append(rated_beside(whole, rest, placed, instead_of))
     return sorted(found, key=_order)
 
 
@@ -254,7 +254,7 @@ def _alike(best: Rated, other: Rated, blocks: Blocks, options: SearchOptions) ->
     return bool(difference.mean() <= options.alike * error_of_mean(difference, size))
 
 
-def _rated(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:
+def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:
     """Return the gain of an effect beside `rest` over the model of `whole`."""
     training, more = rest.training, numbers_of(placed)
     columns = _beside(rest, placed)
@@ -323,7 +323,7 @@ def _without_idle(state: _State, training: Training, options: SearchOptions) -> 
                     o for o in state.point.placed if o is not p and (_free(p) or not _free(o))
                 )
                 rest = Beside.of(replace(state.point, placed=others), training)
-                rated = _rated(rest, rest, p, None)
+                rated = rated_beside(rest, rest, p, None)
                 if not confirmed(rated, options):
                     idle.append((rated.gain.statistic, p))
         if not idle:

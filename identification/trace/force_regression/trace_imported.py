@@ -39,6 +39,7 @@ from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
 from .search import Progress, Searched, search
 from .search_options import SearchOptions
+from .simpler_laws import with_simpler_laws
 from .training_records import Training, missing_share
 
 Array = NDArray[np.float64]
@@ -140,6 +141,7 @@ def _traced(
     table = searched_effects(effects, declared.placed, places, covered, overlap(records))
     free = [e for e in table.free if e.where[0] in places.dof]
     found = search(declared, table.named, free, training, options, progress)
+    found = with_simpler_laws(found, table.named, training, options)
 
     progress("intervals", 0.9)
     others = [

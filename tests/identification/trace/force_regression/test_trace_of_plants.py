@@ -12,16 +12,24 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment_from_log import Experiment
 from levid.identification.records.record import IdentificationError
+from levid.identification.trace.force_regression import trace_imported
 from levid.identification.trace.force_regression.force_trace_summary import (
     declared_effects,
     force_summary,
     model_with_effects,
 )
+from levid.identification.trace.force_regression.search import Searched
+from levid.identification.trace.force_regression.search_options import SearchOptions
+from levid.identification.trace.force_regression.simpler_laws import with_simpler_laws
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
+from levid.identification.trace.force_regression.training_records import Training
 from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.model.effects.base import Effect, Places
 from levid.model.effects.candidate_effects import all_effects
+from levid.model.effects.operating_range import Extent
 
 Array = np.ndarray
+Table = Callable[[Places, Extent], list[Effect]]
 
 PENDULUM = """
 levid: model
@@ -95,8 +103,11 @@ def pendulum(seed: int, linear: bool) -> Experiment:
     return Experiment("p", 0.01, held, y, {}, frozenset(), False)
 
 
-def drive(seed: int, friction_n: float) -> Experiment:
-    """Return a record of m x'' + d x' + friction sign(x') = f in an unknown PD loop."""
+def drive(seed: int, friction_n: float, peak_n: float = 0.0) -> Experiment:
+    """Return a record of m x'' + d x' + friction sign(x') = f in an unknown PD loop.
+
+    At rest the friction is larger by `peak_n`, up to some 0.02 m/s.
+    """
     rng = np.random.default_rng(seed)
     rows, m, d = 8000, 10.0, 30.0
     reference, dither = 0.02 * smooth(rng, rows, 120), smooth(rng, rows, 15)
@@ -108,17 +119,18 @@ def drive(seed: int, friction_n: float) -> Experiment:
         return float(9000.0 * (reference[k] - seen) - 250.0 * rate + 10.0 * dither[k])
 
     def acceleration(_q: float, v: float, force: float) -> float:
-        return (force - d * v - friction_n * np.tanh(v / 1e-3)) / m
+        friction = friction_n + peak_n * np.exp(-((v / 0.02) ** 2))
+        return (force - d * v - friction * np.tanh(v / 1e-3)) / m
 
     f, y = simulated(acceleration, command, rows, 0.002)
     y += 1e-6 * rng.normal(size=y.shape)
     return Experiment("d", 0.002, f, y, {}, frozenset(), False, feedback=True)
 
 
-def traced(model: str, *experiments: Experiment) -> ForceTrace:
+def traced(model: str, *experiments: Experiment, table: Table = all_effects) -> ForceTrace:
     config = parse_text(model, ModelConfig, "model")
     records = [imported_trace_record(e, config) for e in experiments]
-    return trace_records(records, config, all_effects, lambda *_: None)
+    return trace_records(records, config, table, lambda *_: None)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -177,6 +189,28 @@ effects:
     assert effect.key == "friction.coulomb"
     assert parameters["friction"].value == pytest.approx(8.0, rel=0.1)
     assert found.found.dropped == ()
+
+
+@pytest.mark.parametrize(("peak_n", "law"), [(0.0, "coulomb"), (6.0, "stribeck")])
+def test_richer_law_stays_only_if_the_records_confirm_it_beside_the_simpler(
+    peak_n: float, law: str, monkeypatch: pytest.MonkeyPatch
+):
+    """The search knows the richer law only, so that it takes it in both cases."""
+    whole: dict[str, Effect] = {}
+
+    def only_stribeck(places: Places, extent: Extent) -> list[Effect]:
+        whole.update({e.key: e for e in all_effects(places, extent)})
+        return [whole["friction.stribeck"]]
+
+    def from_all(found: Searched, _: object, training: Training, options: SearchOptions):
+        (one,) = found.rated
+        assert one.placed.effect.key == "friction.stribeck"
+        return with_simpler_laws(found, list(whole.values()), training, options)
+
+    monkeypatch.setattr(trace_imported, "with_simpler_laws", from_all)
+    (one,) = traced(DRIVE, drive(2, 8.0, peak_n), table=only_stribeck).found.rated
+    assert one.placed.effect.key == f"friction.{law}"
+    assert one.placed.amplitudes[0] == pytest.approx(8.0, rel=0.15)
 
 
 def test_nothing_is_named_on_a_drive_without_friction():

@@ -121,7 +121,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((0.15 * reach, 0.4, 0.1 * speed), (0.08 * reach, 0.7, 0.8 * speed)),
                 absorbed_by=_ELASTIC,
                 told_apart_by=_LOOPS + ", slow and fast",
-                contains={"friction.dahl": lambda shape: (shape[0],)},
+                contains={"friction.dahl": _elastic_reach},
                 initial_force_decay=partial(_remains, dof=i),
             ),
             Effect(
@@ -182,6 +182,11 @@ def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> li
             },
         ),
     ]
+
+
+def _elastic_reach(shape: Sequence[float]) -> tuple[float, ...]:
+    """Return the displacement of elastic friction without its Stribeck peak."""
+    return (shape[0],)
 
 
 def _turn(shape: Sequence[float]) -> tuple[float, ...]:

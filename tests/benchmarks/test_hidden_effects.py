@@ -12,6 +12,7 @@ from levid.benchmarks.trace.hidden_effect_cases import CASES, TIMES, UNLISTED
 from levid.benchmarks.trace.hidden_effect_flight import Found
 from levid.benchmarks.trace.hidden_effect_parameter_errors import known, relative_errors
 from levid.benchmarks.trace.hidden_effect_score import score_plant
+from levid.benchmarks.trace.scales_and_large_effects import SCALED
 from levid.config.sim import SimEffect
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
@@ -232,4 +233,19 @@ def test_each_case_loads_at_each_size(case) -> None:
 
 def test_each_shipped_effect_is_in_the_zoo() -> None:
     assert {f"levid.sim.effects.{use}" for use in shipped_effects()} == {c.use for c in CASES}
-    assert {case.kind for case in CASES} == CLASSES
+    scaled = [case for _, _, truth in SCALED.values() for case in truth]
+    assert {case.kind for case in (*CASES, *scaled)} == CLASSES
+
+
+def test_absorbed_effect_beside_another_one_need_not_be_named() -> None:
+    by_name = {case.name: case for case in CASES}
+    absorbed, gain = SCALED["coils -6 %"][2][0], by_name["gain-coil-3"]
+    report = {"class": gain.kind, "where": list(gain.where), "evidence": {}}
+
+    def scored(after: float):
+        summary = {"validation": {"before": 4.0, "after": after}, "effects": [report]}
+        return score_plant([absorbed, gain], summary, 1.0)
+
+    assert scored(1.0).right
+    assert scored(1.0).hidden
+    assert not scored(1.5).right

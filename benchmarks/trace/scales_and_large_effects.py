@@ -2,7 +2,7 @@
 
 Sensors that all read 8 % too much, coils that all give 6 % too little, arms 5 % longer than
 declared, each alone and all at once, with and without an effect beside; then friction with a
-Stribeck peak at 400 times the floor, coils that warm together, a torsion mode at 130 times the
+Stribeck peak at some 300 times the floor, coils that warm together, a torsion mode at 130 times the
 floor, two close lines, a random force, and masses on springs. The declared parameters are 15 to
 20 % off. Seeds follow from the commit, so that no plant of a run was used before.
 
@@ -130,6 +130,7 @@ class Traced:
 
 
 def main() -> None:
+    """Fly and trace the plants, and print the figures."""
     options = parser("Rigs with wrong scales, and large effects; --quick: three plants")
     options.add_argument("--first-seed", type=int, help="instead of the commit's")
     arguments = options.parse_args()
@@ -164,10 +165,13 @@ def main() -> None:
 
 def commit_seed() -> int:
     """Return a seed from the hash of the commit, 0 to 999,000 in steps of 1000."""
-    done = subprocess.run(
-        ["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True,
-        cwd=Path(__file__).parent,
-    )  # fmt: skip
+    command = ["git", "rev-parse", "HEAD"]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=True, cwd=Path(__file__).parent
+        )
+    except (OSError, subprocess.CalledProcessError):
+        sys.exit("expected a git checkout, whose commit gives the seeds; else use --first-seed N")
     return int(done.stdout[:12], 16) % 1000 * 1000
 
 

@@ -13,12 +13,11 @@ not separate is reported as one ambiguous effect with all its members.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from .base import Array, Effect, Places, Quantity, Signals, Term
+from .base import Array, Build, Effect, Places, Quantity, Signals, Term
 
 _MOST = 0.5
 """Bound of a scale error: beyond, a channel's polarity or unit is wrong rather than its scale."""
@@ -36,69 +35,56 @@ def effects(places: Places) -> list[Effect]:
     coils = places.actuators
     psi, theta, _ = places.dof
     found = [
-        _scale(
+        _effect(
             "sensor_scale", "Scale of all sensors", sensors, "reading = (1 + scale) h", _readings,
-            "masses, damping and stiffness, all but weights",
+            "masses, damping and stiffness, all but weights", scales_readings=True,
         ),
-        _scale(
+        _effect(
             "coil_scale", "Scale of all coils", coils, "force = (1 + scale) F", _commands,
             "masses, damping and stiffness, all by one factor",
         ),
     ]  # fmt: skip
-    found[0] = replace(found[0], scales_readings=True)
     for tilts, axis in (((0, 1), ""), ((0,), " along y"), ((1,), " along x")):
         where = tuple((psi, theta)[i] for i in tilts)
         suffix = "".join(f".{w}" for w in where) if axis else ""
-        unit = f"{places.force_unit(0)} s/{places.dof_units[0]}"
+        damping = Quantity("d", f"{places.force_unit(0)} s/{places.dof_units[0]}")
         found += [
-            Effect(
-                f"arm_length.both{suffix}",
-                f"Arms of coils and sensors{axis}",
-                "arm_length",
-                where,
+            _effect(
+                f"arm_length.both{suffix}", f"Arms of coils and sensors{axis}", where,
                 "torque = (1 + arm) tau - d q', reading = h + arm (h - z)",
-                (_excess("arm"), Quantity("d", unit)),
-                partial(_arms, tilts=tilts),
-                absorbed_by="inertia and stiffness of the tilts",
-                told_apart_by=_KNOWN_FORCE,
+                partial(_arms, tilts=tilts), "inertia and stiffness of the tilts", damping,
             ),
-            Effect(
-                f"arm_length.sensors{suffix}",
-                f"Arms of the sensors{axis}",
-                "arm_length",
-                where,
+            _effect(
+                f"arm_length.sensors{suffix}", f"Arms of the sensors{axis}", where,
                 "reading = h + arm (h - z)",
-                (_excess("arm"),),
-                partial(_sensor_arms, tilts=tilts),
-                absorbed_by="inertia, damping and stiffness of the tilts",
-                told_apart_by=_KNOWN_FORCE,
+                partial(_sensor_arms, tilts=tilts), "inertia, damping and stiffness of the tilts",
             ),
-            Effect(
-                f"arm_length.coils{suffix}",
-                f"Arms of the coils{axis}",
-                "arm_length",
-                where,
+            _effect(
+                f"arm_length.coils{suffix}", f"Arms of the coils{axis}", where,
                 "torque = (1 + arm) tau",
-                (_excess("arm"),),
-                partial(_coil_arms, tilts=tilts),
-                absorbed_by="inertia, damping and stiffness of the tilts",
-                told_apart_by=_KNOWN_FORCE,
+                partial(_coil_arms, tilts=tilts), "inertia, damping and stiffness of the tilts",
             ),
-        ]
+        ]  # fmt: skip
     return found
 
 
-def _scale(
-    key: str, title: str, where: tuple[str, ...], equation: str, build: object, absorbed: str
+def _effect(
+    key: str,
+    title: str,
+    where: tuple[str, ...],
+    equation: str,
+    build: Build,
+    absorbed_by: str,
+    *more: Quantity,
+    scales_readings: bool = False,
 ) -> Effect:
+    """Return an effect whose first amplitude is a relative error, named as in its equation."""
+    kind = key.partition(".")[0]
+    error = Quantity("arm" if kind == "arm_length" else "scale", "1", -_MOST, _MOST)
     return Effect(
-        key, title, key, where, equation, (_excess("scale"),), build,  # type: ignore[arg-type]
-        absorbed_by=absorbed, told_apart_by=_KNOWN_FORCE,
+        key, title, kind, where, equation, (error, *more), build,
+        absorbed_by=absorbed_by, told_apart_by=_KNOWN_FORCE, scales_readings=scales_readings,
     )  # fmt: skip
-
-
-def _excess(name: str) -> Quantity:
-    return Quantity(name, "1", -_MOST, _MOST)
 
 
 def _readings(signals: Signals, _shape: Sequence[float]) -> list[Term]:

@@ -250,6 +250,20 @@ def asked_again(point: WorkingPoint, taken: Tried, fitted: Placed, records: Reco
     )
 
 
+def regressed(
+    train: ColumnEvidence, number: int, effect: Effect, shape: tuple[float, ...], blocks: Array
+) -> Tried:
+    """Return candidate `number` of the evidence with its amplitudes by regression, untested.
+
+    `blocks` (B,) is its gain.
+    """
+    joined = train.joined(number)
+    found = solve(joined.whole, list(range(len(joined.size) - 1))) / joined.size[:-1]
+    pairs = zip(found[-len(effect.amplitudes) :], effect.amplitudes, strict=True)
+    amplitudes = tuple(float(np.clip(a, q.low, q.high)) for a, q in pairs)
+    return Tried(effect, shape, float(blocks.sum()), blocks, amplitudes, np.inf)
+
+
 def is_internal(effect: Effect) -> bool:
     """Return whether an effect acts on the drives only: a force between beam and platform."""
     return effect.where == ("beam",)

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect
 from ..linearised.linearisation_point import WorkingPoint
 from .backward_elimination import removal_costs, restoring
-from .candidate_screening import Tried, width
+from .candidate_screening import Tried, regressed, width
 from .fit_shortlisted_candidates import MOST_EQUALS, told_apart
 from .gauss_newton import Candidate, Fitted, gather
-from .regression import ColumnEvidence, gains_beside, solve, steadied
+from .regression import ColumnEvidence, gains_beside, steadied
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def equivalents(
         columns = list(range(at, at + width(p)))
         without = _without(steadied(train), columns, p.amplitudes)
         own = Tried(p.effect, p.shape, float(cost.sum()), cost, p.amplitudes, np.inf)
-        rivals = [_tried(without, i, *candidate, gain) for i, (candidate, gain) in
+        rivals = [regressed(without, i, *candidate, gain) for i, (candidate, gain) in
                   enumerate(zip(asked, gains_beside(without), strict=True))]  # fmt: skip
         equal = [t for t in rivals if np.isfinite(t.gain) and not told_apart(t, own)]
         equal.sort(key=lambda t: -t.gain)
@@ -70,13 +70,3 @@ def _without(
             replace(b, cross=np.einsum("ji,bjg->big", take, b.cross)) for b in train.beside
         ),
     )
-
-
-def _tried(
-    train: ColumnEvidence, number: int, effect: Effect, shape: tuple[float, ...], blocks: Array
-) -> Tried:
-    joined = train.joined(number)
-    found = solve(joined.whole, list(range(len(joined.size) - 1))) / joined.size[:-1]
-    pairs = zip(found[-len(effect.amplitudes) :], effect.amplitudes, strict=True)
-    amplitudes = tuple(float(np.clip(a, q.low, q.high)) for a, q in pairs)
-    return Tried(effect, shape, float(blocks.sum()), blocks, amplitudes, np.inf)

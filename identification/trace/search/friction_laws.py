@@ -17,11 +17,11 @@ from ....model.effects.base import Effect
 from ....model.effects.friction import LAWS
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
-from .candidate_screening import Records, Round, Tried
+from .candidate_screening import Records, Round, Tried, regressed
 from .effects_not_told_apart import Member, in_place, not_told_apart
 from .fit_shortlisted_candidates import sifted
 from .gauss_newton import Candidate, Fitted, gather
-from .regression import gains, solve
+from .regression import gains
 
 
 def best_laws(
@@ -68,10 +68,5 @@ def _at_grid(without: WorkingPoint, laws: Sequence[Effect], records: Fitted) -> 
         before = best.get(effect.identity)
         if not np.isfinite(gain) or (before is not None and before.gain >= gain):
             continue
-        joined, width = train.joined(i), len(effect.amplitudes)
-        columns = list(range(len(joined.size) - 1))
-        found = (solve(joined.whole, columns) / joined.size[:-1])[-width:]
-        pairs = zip(found, effect.amplitudes, strict=True)
-        amplitudes = tuple(float(np.clip(a, q.low, q.high)) for a, q in pairs)
-        best[effect.identity] = Tried(effect, shape, gain, blocks, amplitudes, np.inf)
+        best[effect.identity] = regressed(train, i, effect, shape, blocks)
     return sorted(best.values(), key=lambda t: -t.gain)

@@ -8,6 +8,7 @@ regression and cross-validation without the record.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -41,15 +42,29 @@ def linearise(
 
     For long records, candidates are processed in batches, to limit memory.
     """
-    here = along(point, record)
-    bank = FilterBank.build(point.model, record, here.at, here.kalman, point.hold, here.every)
-    own = parameter_columns(point, bank, here.signals)
-    basis = _unknown_basis(point, here, bank)
+    here, bank, own, basis = _prepared(point, record)
     parts = [
         _with_candidates(point, here, bank, own, basis, some)
         for some in _batches(candidates, _MAX_NUMBERS // max(own.shape[0] * own.shape[1], 1))
     ]
     return replace(parts[0], beside=tuple(one for part in parts for one in part.beside))
+
+
+def _prepared(point: WorkingPoint, record: TraceRecord) -> tuple[Along, FilterBank, Array, Array]:
+    """Return what all candidates at a point have in common; of the last point of a record, kept.
+
+    A search asks the same point again and again: of other candidates, or of other shapes of them.
+    """
+    key = pickle.dumps(point)
+    kept = record.prepared.get(key)
+    if kept is None:
+        here = along(point, record)
+        bank = FilterBank.build(point.model, record, here.at, here.kalman, point.hold, here.every)
+        own = parameter_columns(point, bank, here.signals)
+        kept = here, bank, own, _unknown_basis(point, here, bank)
+        record.prepared.clear()
+        record.prepared[key] = kept
+    return kept
 
 
 def _batches(candidates: Sequence[Candidate], most: int) -> Iterator[Sequence[Candidate]]:

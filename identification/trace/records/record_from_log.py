@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,8 @@ _WITHOUT = {
 }
 """Fields that a rig log may lack, and what the trace assumes without them."""
 _SILENT = 1e-9
+_PREPARED = 6
+"""Memory of what is prepared for a point over that of the record, along a moving beam, measured."""
 IMPORTED = "imported"
 """Kind of a record from other data than the rig's."""
 SHORTEST_S = 1.0
@@ -73,6 +76,8 @@ class TraceRecord:
         default_factory=dict, init=False, repr=False, compare=False
     )
     """Cached filters along a moving schedule, by noise: computing them is slow."""
+    prepared: dict[bytes, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """What linearise prepared for its last point, which it is often asked of again."""
 
     @property
     def name(self) -> str:
@@ -91,13 +96,13 @@ class TraceRecord:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays in bytes, without the filters."""
+        """Memory of the arrays and of what is prepared from them, in bytes, without the filters."""
         e = self.experiment
         arrays = [self.time_s, self.gap, self.coil, self.coil_excitation, self.beam, self.rotor]
         arrays += [e.u, e.y, *e.schedule.values()]
         if e.loop is not None:
             arrays += [e.loop.v, e.loop.reference, e.loop.feedforward, e.loop.seen]
-        return sum(a.nbytes for a in arrays)
+        return (1 + _PREPARED) * sum(a.nbytes for a in arrays)
 
     def cut(self, start: int, stop: int) -> TraceRecord:
         """Return rows start to stop (exclusive)."""

@@ -144,6 +144,36 @@ def restoring(
     return take
 
 
+def without_effect(
+    train: ColumnEvidence, columns: Sequence[int], amplitudes: Sequence[float]
+) -> ColumnEvidence:
+    """Return the evidence without the columns of an effect, its errors restored, first order.
+
+    `amplitudes` are those of the first columns.
+    """
+    kept = np.delete(np.arange(len(train.size)), columns)
+    take = restoring(train, columns[: len(amplitudes)], amplitudes)[:, kept]
+    return replace(
+        train,
+        gram=np.einsum("ji,bjk,kl->bil", take, train.gram, take, optimize=True),
+        size=train.size[kept],
+        prior=take.T @ train.prior @ take,
+        beside=tuple(
+            replace(b, cross=np.einsum("ji,bjg->big", take, b.cross)) for b in train.beside
+        ),
+    )
+
+
+def columns_of(point: WorkingPoint, placed: Placed) -> list[int]:
+    """Return the columns of an effect of the point: amplitudes, then shape."""
+    at = len(point.parameters.names)
+    for p in point.placed:
+        if p is placed:
+            return list(range(at, at + width(p)))
+        at += width(p)
+    raise ValueError(f"expected an effect of the point, found {placed.effect.identity}")
+
+
 def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | None:
     """Remove the least important effect and refit; None if all are important."""
     costs = brought(point, gather(point, records.train(point)))

@@ -22,8 +22,10 @@ from ..linearised.linearisation_point import WorkingPoint
 from .backward_elimination import removal_costs
 from .candidate_screening import LEAST, Records, Round, Tried, asked_again
 from .equivalent_candidates import equivalents
+from .fit_shortlisted_candidates import told_apart
 from .gauss_newton import FULLY, gather, refine
 from .regression import ColumnEvidence
+from .separable_least_squares import with_fitted_shapes
 
 Array = NDArray[np.float64]
 
@@ -62,7 +64,8 @@ def with_equals(
         rivals = {t.effect.identity: t for t in both}
         if not rivals:
             continue
-        equals = not_told_apart(in_place(point, taken, tuple(rivals.values()), records))
+        some = alike_along(point, taken.effect, tuple(rivals.values()), records)
+        equals = not_told_apart(in_place(point, taken, some, records))
         if equals[0].tried.effect is not taken.effect:
             taken = _in_its_place(equals[0], taken, records)
         point = equals[0].point
@@ -82,6 +85,24 @@ def _in_its_place(member: Member, taken: Tried, records: Records) -> Tried:
     others = tuple(p for p in member.point.placed if p is not placed)
     tried = replace(member.tried, gain=taken.gain, blocks=taken.blocks)
     return asked_again(replace(member.point, placed=others), tried, placed, records)
+
+
+def alike_along(
+    point: WorkingPoint, effect: Effect, rivals: Sequence[Tried], records: Records
+) -> list[Tried]:
+    """Return the rivals of an effect of the point that explain about as much in its place.
+
+    Their shapes are fitted along the trajectories with that effect, beside all others.
+    """
+    own = _placed(point, effect)
+    assert own is not None
+    there = {p.effect.identity for p in point.placed}
+    asked = [t for t in rivals if t.effect.identity not in there]
+    if not asked:
+        return []
+    start = Tried(own.effect, own.shape, 0.0, np.zeros(1), own.amplitudes, np.inf)
+    itself, *others = with_fitted_shapes(point, [start, *asked], records, own)
+    return [t for t in others if not told_apart(t, itself)]
 
 
 def in_place(

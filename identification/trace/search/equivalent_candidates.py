@@ -9,20 +9,16 @@ candidate that takes them again is a rival.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ....model.effects.base import Effect
 from ..linearised.linearisation_point import WorkingPoint
-from .backward_elimination import removal_costs, restoring
+from .backward_elimination import removal_costs, without_effect
 from .candidate_screening import Tried, regressed, width
 from .fit_shortlisted_candidates import MOST_EQUALS, told_apart
 from .gauss_newton import Candidate, Fitted, gather
-from .regression import ColumnEvidence, gains_beside, steadied
-
-Array = NDArray[np.float64]
+from .regression import gains_beside, steadied
 
 
 def equivalents(
@@ -44,7 +40,7 @@ def equivalents(
     at, found = len(point.parameters.names), {}
     for p, cost in zip(point.placed, removal_costs(point, train), strict=True):
         columns = list(range(at, at + width(p)))
-        without = _without(steadied(train), columns, p.amplitudes)
+        without = without_effect(steadied(train), columns, p.amplitudes)
         own = Tried(p.effect, p.shape, float(cost.sum()), cost, p.amplitudes, np.inf)
         rivals = [regressed(without, i, *candidate, gain) for i, (candidate, gain) in
                   enumerate(zip(asked, gains_beside(without), strict=True))]  # fmt: skip
@@ -53,20 +49,3 @@ def equivalents(
         found[p.effect.identity] = tuple(equal[:MOST_EQUALS])
         at += width(p)
     return found
-
-
-def _without(
-    train: ColumnEvidence, columns: Sequence[int], amplitudes: Sequence[float]
-) -> ColumnEvidence:
-    """Return the evidence without the columns of an effect, its errors restored."""
-    kept = np.delete(np.arange(len(train.size)), columns)
-    take = restoring(train, columns[: len(amplitudes)], amplitudes)[:, kept]
-    return replace(
-        train,
-        gram=np.einsum("ji,bjk,kl->bil", take, train.gram, take, optimize=True),
-        size=train.size[kept],
-        prior=take.T @ train.prior @ take,
-        beside=tuple(
-            replace(b, cross=np.einsum("ji,bjg->big", take, b.cross)) for b in train.beside
-        ),
-    )

@@ -101,7 +101,7 @@ def grown(
             rounds.append(found)
             break
         progress(f"fitting {', '.join(t.effect.name for t in found.survivors)}", share(len(rounds)))
-        found, begun_at = sifted(point, found, train, records)
+        found, begun_at = sifted(point, found, records)
         taken = found.taken
         assert taken is not None
         progress(f"adding {taken.effect.name}", share(len(rounds)))

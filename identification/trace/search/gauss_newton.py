@@ -158,7 +158,7 @@ def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
         a, k = len(one.amplitudes), len(one.shape)
         moves = step[at + a : at + a + k]
         shape = [
-            float(np.clip(value + _leash(move, value, q), q.low, q.high))
+            float(np.clip(value + leash(move, value, q), q.low, q.high))
             for value, move, q in zip(one.shape, moves, one.effect.shape, strict=True)
         ]
         amplitudes = [
@@ -172,7 +172,7 @@ def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
     return replace(point, model=point.model.with_values(values), placed=tuple(placed))
 
 
-def _leash(move: float, value: float, quantity: Quantity) -> float:
+def leash(move: float, value: float, quantity: Quantity) -> float:
     """Limit a step of a shape parameter to the range in which terms are nearly linear."""
     reach = abs(value) / 3 if quantity.log else 0.1 * (quantity.high - quantity.low)
     return float(np.clip(move, -reach, reach))

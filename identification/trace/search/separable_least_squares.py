@@ -1,0 +1,209 @@
+"""Fit the shapes of many candidates at once, along the trajectories of the point they are added to.
+
+The errors are linear in the parameters of the model and in a candidate's amplitudes, and nonlinear
+in its shape only (separable least squares: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413).
+At each trial shape the linear numbers are regressed, and a Gauss-Newton step for the shape follows
+from the columns of the shape's derivatives beside those of the amplitudes. The columns of the model
+are those of the point, so that a step costs the columns of the candidates alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.effects.base import Effect, Placed, Signals, Term
+from ..linearised.linearisation_point import WorkingPoint
+from ..linearised.linearise_prediction_errors import effect_terms
+from .backward_elimination import columns_of, without_effect
+from .candidate_screening import Tried
+from .gauss_newton import ROUGHLY, Candidate, Fitted, gather, leash
+from .regression import ColumnEvidence, gains_beside, remaining, solve, steadied
+
+Array = NDArray[np.float64]
+
+_STEPS = 10
+_FIRST_DAMPING, _MOST_DAMPING = 1e-2, 1e3
+_WORTH = 1.0
+"""Squared errors that a step must promise: noise of one number takes as much."""
+
+
+def with_fitted_shapes(
+    point: WorkingPoint,
+    tried: Sequence[Tried],
+    records: Fitted,
+    instead_of: Placed | None = None,
+) -> list[Tried]:
+    """Return the candidates with fitted shapes and amplitudes, and their cross-validated gains.
+
+    They start from their shapes; of those without shape the amplitudes are fitted. With
+    `instead_of`, each is in the place of this effect of the point.
+    """
+    fits = [_Fit(t) for t in tried]
+    for _ in range(_STEPS + 1):
+        active = [fit for fit in fits if not fit.ended]
+        if not active:
+            break
+        train = steadied(gather(point, records.train(point, [fit.asked() for fit in active])))
+        if instead_of is not None:
+            columns = columns_of(point, instead_of)
+            train = without_effect(train, columns, instead_of.amplitudes)
+        for i, fit in enumerate(active):
+            fit.told(train, i)
+    return [fit.best for fit in fits]
+
+
+class _Fit:
+    """One candidate's fit: the best shape so far, and the one that is tried next."""
+
+    def __init__(self, tried: Tried) -> None:
+        self.best, self.shape, self.ended = tried, tried.shape, False
+        self._squares, self._damping = np.inf, 0.0
+        self._asked = tried.amplitudes
+        self._joined: _Joined | None = None
+
+    def asked(self) -> Candidate:
+        """Return the candidate at the shape to try, with the columns of the shape's derivatives."""
+        self._asked = self.best.amplitudes
+        return _tangent(Placed(self.best.effect, self.shape, self._asked)), self.shape
+
+    def told(self, train: ColumnEvidence, number: int) -> None:
+        """Take what candidate `number` of the evidence says of the shape; find the next one."""
+        there = _Joined.of(train, number, self.best, self._asked)
+        if there.squares < self._squares:
+            self.best = replace(
+                self.best,
+                shape=self.shape,
+                amplitudes=there.amplitudes,
+                blocks=there.gain,
+                gain=float(there.gain.sum()),
+            )
+            self._squares, self._joined = there.squares, there
+            self._damping = self._damping / 10.0 if self._damping > _FIRST_DAMPING else 0.0
+        else:
+            self._damping = max(10.0 * self._damping, _FIRST_DAMPING)
+        assert self._joined is not None
+        move, promised = self._joined.step(self.best, self._damping)
+        moved = tuple(
+            float(np.clip(value + leash(one, value, q), q.low, q.high))
+            for one, value, q in zip(move, self.best.shape, self.best.effect.shape, strict=True)
+        )
+        left = self._squares - float(train.count.sum())
+        worth = max(_WORTH, ROUGHLY * left)
+        self.ended = promised < worth or self._damping > _MOST_DAMPING or moved == self.best.shape
+        self.shape = moved
+
+
+@dataclass(frozen=True)
+class _Joined:
+    """What the blocks say at one shape of a candidate.
+
+    gram (Q, Q): of all blocks, of [base, amplitudes, derivatives by the shape, errors]. gain (B,):
+    what its amplitudes take of the cross-validated squared errors. amplitudes: regressed, within
+    their bounds. squares: what is left with them. ratio: of one amplitude to that which the
+    derivatives are of; 1 for several amplitudes.
+    """
+
+    gram: Array
+    size: Array
+    gain: Array
+    squares: float
+    amplitudes: tuple[float, ...]
+    ratio: float
+
+    @classmethod
+    def of(
+        cls, train: ColumnEvidence, number: int, tried: Tried, asked: tuple[float, ...]
+    ) -> _Joined:
+        """Return it for candidate `number` of the evidence."""
+        joined, own = train.joined(number), len(train.size) - 1
+        count = len(tried.amplitudes)
+        plain = _without_shape(train, number, count)
+        columns = list(range(own + count))
+        low = np.array([q.low for q in tried.effect.amplitudes])
+        high = np.array([q.high for q in tried.effect.amplitudes])
+        found = solve(joined.whole, columns)
+        sizes = joined.size[own : own + count]
+        amplitudes = np.clip(found[own:] / sizes, low, high)
+        found = _beside(joined.whole, own, amplitudes * sizes)
+        squares = float(remaining(joined.whole[None], columns, found)[0])
+        gain = gains_beside(plain)[0]
+        ratio = amplitudes[0] / asked[0] if count == 1 and asked[0] else 1.0
+        given = tuple(amplitudes.tolist())
+        return cls(joined.whole, joined.size, gain, squares, given, float(ratio))
+
+    def step(self, tried: Tried, damping: float) -> tuple[Array, float]:
+        """Return the step of the shape, and the squared errors that it promises to take.
+
+        What stands at its bound and would leave it stays there.
+        """
+        quantities = (*tried.effect.amplitudes, *tried.effect.shape)
+        values = np.array([*self.amplitudes, *tried.shape])
+        first = len(self.size) - 1 - len(quantities)
+        own = first + np.arange(len(quantities))
+        shape = own[len(self.amplitudes) :]
+        errors = _with_amplitudes(
+            self.gram, first, np.array(self.amplitudes) * self.size[own[: len(self.amplitudes)]]
+        )
+        damped = errors.copy()
+        damped[shape, shape] *= 1.0 + damping
+        low = np.array([q.low for q in quantities])
+        high = np.array([q.high for q in quantities])
+        free = np.flatnonzero(np.diag(errors)[:-1] > 0.0)
+        while True:
+            move = np.zeros(len(errors) - 1)
+            move[free] = solve(damped, free)
+            change = move[own] / self.size[own]
+            held = (change < 0.0) & (values <= low) | (change > 0.0) & (values >= high)
+            if not held.any():
+                break
+            free = np.setdiff1d(free, own[held])
+        promised = -float(move @ (2.0 * errors[:-1, -1] + errors[:-1, :-1] @ move))
+        plain = np.setdiff1d(free, shape)
+        rest = np.zeros_like(move)
+        rest[plain] = solve(errors, plain)
+        promised += float(rest @ (2.0 * errors[:-1, -1] + errors[:-1, :-1] @ rest))
+        return move[shape] / (self.size[shape] * (self.ratio or 1.0)), promised
+
+
+def _tangent(placed: Placed) -> Effect:
+    """Return an effect with the columns of the shape's derivatives behind those of amplitudes."""
+    effect = placed.effect
+    return replace(
+        effect,
+        amplitudes=(*effect.amplitudes, *effect.shape),
+        build=partial(_tangent_terms, placed=placed),
+    )
+
+
+def _tangent_terms(signals: Signals, _shape: Sequence[float], *, placed: Placed) -> list[Term]:
+    return effect_terms(placed, signals)
+
+
+def _without_shape(train: ColumnEvidence, number: int, amplitudes: int) -> ColumnEvidence:
+    """Return the evidence with one candidate only, and only the columns of its amplitudes."""
+    b = train.beside[number]
+    few = replace(
+        b,
+        cross=b.cross[:, :, :amplitudes],
+        inner=b.inner[:, :amplitudes, :amplitudes],
+        size=b.size[:amplitudes],
+    )
+    return replace(train, beside=(few,))
+
+
+def _with_amplitudes(gram: Array, first: int, amplitudes: Array) -> Array:
+    """Return the Gram matrix with the errors that given amplitudes leave."""
+    take = np.eye(len(gram))
+    take[first : first + len(amplitudes), -1] = amplitudes
+    return np.asarray(take.T @ gram @ take)
+
+
+def _beside(gram: Array, own: int, amplitudes: Array) -> Array:
+    """Return [base coefficients, amplitudes], the first regressed beside given amplitudes."""
+    errors = _with_amplitudes(gram, own, amplitudes)
+    return np.concatenate([solve(errors, list(range(own))), amplitudes])

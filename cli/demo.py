@@ -28,8 +28,9 @@ def command(out: Path | None) -> int:
     """Fly the paper's experiment on the simulated rig, identify the plant and trace effects.
 
     The flight has white noise at each input in turn, at three beam positions, then a moving beam:
-    ten minutes in virtual time. Then a plant with two effects that the model lacks is flown, and
-    the trace finds them from the logs. Prints results and the paths of the reports.
+    ten minutes in virtual time. Then a plant is flown whose parameters differ from the model's by
+    10 to 20 % and that has three effects which the model lacks, and the trace finds them from the
+    logs. Prints results and the paths of the reports.
 
     \b
     Examples:
@@ -68,7 +69,7 @@ def _trace(folder: Path) -> None:
     begin = time.perf_counter()
     flight = _fly("sessions/trace-demo.yaml", folder, shipped("sims/undeclared.yaml"))
     traced = trace_logs(flight.logs, None, folder / "found")
-    click.echo("trace of a plant with two effects that the model lacks:")
+    click.echo("trace of a plant with three effects that the model lacks:")
     for line in trace_words(traced.found):
         click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")

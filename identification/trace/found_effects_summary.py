@@ -115,9 +115,17 @@ class FoundEffect:
 
     @property
     def others(self) -> tuple[Effect, ...]:
-        """Effects of another class or place that these records do not tell from it."""
+        """Effects of another class or place that these records do not tell from it.
+
+        One with more numbers at the same place is none: the simplest law of a place is taken.
+        """
         found = () if self.evidence is None else self.evidence.alternatives
-        return tuple(e for e in found if _kind(e) != _kind(self.effect))
+        own = self.effect
+        return tuple(
+            e
+            for e in found
+            if _kind(e) != _kind(own) and (e.where != own.where or _numbers(e) <= _numbers(own))
+        )
 
     @property
     def name(self) -> str:
@@ -427,6 +435,10 @@ def _parameters(placed: Placed) -> dict[str, EffectParameter]:
 
 def _finite(value: float | None) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
+
+
+def _numbers(effect: Effect) -> int:
+    return len(effect.amplitudes) + len(effect.shape)
 
 
 def _kind(effect: Effect) -> tuple[str, tuple[str, ...]]:

@@ -47,6 +47,8 @@ _FIRST_ROWS = 8000
 _FIRST_RECORDS = 8
 _LOUDER = (1e9, 1e7, 1e5)
 """Factors on the force noise: large for a poor initial model, then smaller."""
+_AT_A_TIME = 128
+"""Candidates that a worker is asked about at once where some records only are asked."""
 _UNEXPLAINED = 1.1
 """Error over noise floor above which random vibration is looked for."""
 
@@ -266,7 +268,15 @@ class _Logged:
         only: Sequence[int] | None = None,
     ) -> list[Linearised]:
         chosen = self.fitted if only is None else [self.fitted[i] for i in only]
-        return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), chosen)
+        # Few records would keep few workers busy: each is asked about parts of the candidates.
+        parts = _parts_of(candidates, _AT_A_TIME if only is not None else len(candidates))
+        tasks = [partial(linearise, point, candidates=part) for _ in chosen for part in parts]
+        answers = self.workers.map(tasks, [source for source in chosen for _ in parts])
+        each = [answers[i : i + len(parts)] for i in range(0, len(answers), len(parts))]
+        return [
+            replace(own[0], beside=tuple(one for part in own for one in part.beside))
+            for own in each
+        ]
 
     def shown(self, point: WorkingPoint, candidates: Sequence[Candidate]) -> list[Linearised]:
         chosen = tuple(candidates)
@@ -274,6 +284,12 @@ class _Logged:
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
         return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), self.kept)
+
+
+def _parts_of(candidates: Sequence[Candidate], most: int) -> list[tuple[Candidate, ...]]:
+    """Return the candidates in parts of at most `most`; one part if there are none."""
+    step = max(most, 1)
+    return [tuple(candidates[i : i + step]) for i in range(0, max(len(candidates), 1), step)]
 
 
 @dataclass(frozen=True)

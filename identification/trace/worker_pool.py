@@ -76,8 +76,10 @@ class RecordSource:
 class Workers(Protocol):
     """Runs a task on many records."""
 
-    def map(self, task: Task[Answer], sources: Sequence[RecordSource]) -> list[Answer]:
-        """Return the answers in the order of the sources."""
+    def map(
+        self, task: Task[Answer] | Sequence[Task[Answer]], sources: Sequence[RecordSource]
+    ) -> list[Answer]:
+        """Return the answers in the order of the sources, of one task or of one for each."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +88,14 @@ class Alone:
 
     config: ModelConfig
 
-    def map(self, task: Task[Answer], sources: Sequence[RecordSource]) -> list[Answer]:
+    def map(
+        self, task: Task[Answer] | Sequence[Task[Answer]], sources: Sequence[RecordSource]
+    ) -> list[Answer]:
         """Return the answers in the order of the sources."""
-        text = self.config.model_dump_json()
+        text, tasks = self.config.model_dump_json(), _each(task, sources)
         # BLAS threads would change the order of additions, and with it the last digits.
         with threadpool_limits(1):
-            return [task(_record(source, text)) for source in sources]
+            return [one(_record(source, text)) for one, source in zip(tasks, sources, strict=True)]
 
 
 class Spread:
@@ -112,17 +116,20 @@ class Spread:
         self._name, self._report, self._has_workers = name, report, has_workers
         self._text, self._lost = config.model_dump_json(), False
 
-    def map(self, task: Task[Answer], sources: Sequence[RecordSource]) -> list[Answer]:
+    def map(
+        self, task: Task[Answer] | Sequence[Task[Answer]], sources: Sequence[RecordSource]
+    ) -> list[Answer]:
         """Return the answers in the order of the sources."""
         if self._lost:
             return self._alone.map(task, sources)
+        tasks = _each(task, sources)
         # Longest records first, so that no long task starts last.
         order = sorted(range(len(sources)), key=lambda i: sources[i].start - sources[i].stop)
         futures: dict[int, Future[_Answered[Answer]]] = {}
         answers: list[Answer] = []
         try:
             for i in order:
-                futures[i] = self.executor.submit(_answered, task, sources[i], self._text)
+                futures[i] = self.executor.submit(_answered, tasks[i], sources[i], self._text)
             for i in range(len(sources)):
                 answers.append(self._awaited(futures[i]).value())
         except _TaskError as failed:
@@ -254,6 +261,12 @@ def _answered(task: Task[Answer], source: RecordSource, model_json: str) -> _Ans
     except Exception as error:  # noqa: BLE001 - raised again by the caller
         error.add_note(traceback.format_exc())  # the traceback is lost in transport
         return _Answered((), error)
+
+
+def _each(
+    task: Task[Answer] | Sequence[Task[Answer]], sources: Sequence[RecordSource]
+) -> Sequence[Task[Answer]]:
+    return [task] * len(sources) if callable(task) else task
 
 
 def _record(source: RecordSource, model_json: str) -> TraceRecord:

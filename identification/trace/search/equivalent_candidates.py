@@ -8,17 +8,22 @@ candidate that takes them again is a rival.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ....model.effects.base import Effect
 from ..linearised.linearisation_point import WorkingPoint
-from .backward_elimination import removal_costs, without_effect
-from .candidate_screening import Tried, regressed, width
+from .backward_elimination import columns_of, removal_costs, without_effect
+from .candidate_screening import Tried, regressed
 from .fit_shortlisted_candidates import MOST_EQUALS, told_apart
 from .gauss_newton import Candidate, Fitted, gather
+from .prescreening import most_telling
 from .regression import gains_beside, steadied
+
+_HALF = 0.5
+"""Who explains less than this share of what the effect does, in the records that tell most of it,
+explains no more of it in all."""
 
 
 def equivalents(
@@ -36,16 +41,38 @@ def equivalents(
     ]
     if not asked or not point.placed:
         return {}
-    train = gather(point, records.train(point, asked))
-    at, found = len(point.parameters.names), {}
-    for p, cost in zip(point.placed, removal_costs(point, train), strict=True):
-        columns = list(range(at, at + width(p)))
-        without = without_effect(steadied(train), columns, p.amplitudes)
-        own = Tried(p.effect, p.shape, float(cost.sum()), cost, p.amplitudes, np.inf)
-        rivals = [regressed(without, i, *candidate, gain) for i, (candidate, gain) in
-                  enumerate(zip(asked, gains_beside(without), strict=True))]  # fmt: skip
+    base = gather(point, records.train(point))
+    costs = removal_costs(point, base)
+    only = most_telling(base, np.sum(costs, axis=0))
+    if only:
+        near: set[int] = set()
+        for own, tried in _instead(point, asked, records, only):
+            near |= {i for i, t in enumerate(tried) if t.gain > _HALF * own.gain}
+        asked = [asked[i] for i in sorted(near)]
+    if not asked:
+        return {}
+    found = {}
+    for own, rivals in _instead(point, asked, records, None):
         equal = [t for t in rivals if np.isfinite(t.gain) and not told_apart(t, own)]
         equal.sort(key=lambda t: -t.gain)
-        found[p.effect.identity] = tuple(equal[:MOST_EQUALS])
-        at += width(p)
+        found[own.effect.identity] = tuple(equal[:MOST_EQUALS])
     return found
+
+
+def _instead(
+    point: WorkingPoint,
+    asked: Sequence[Candidate],
+    records: Fitted,
+    only: Sequence[int] | None,
+) -> Iterator[tuple[Tried, list[Tried]]]:
+    """Yield each effect of the point with its gain, and the candidates in its place with theirs.
+
+    They are of some records by number, or of all.
+    """
+    train = gather(point, records.train(point, asked, only))
+    costs = removal_costs(point, train)
+    for p, cost in zip(point.placed, costs, strict=True):
+        without = without_effect(steadied(train), columns_of(point, p), p.amplitudes)
+        own = Tried(p.effect, p.shape, float(cost.sum()), cost, p.amplitudes, np.inf)
+        gained = gains_beside(without)
+        yield own, [regressed(without, i, *asked[i], gain) for i, gain in enumerate(gained)]

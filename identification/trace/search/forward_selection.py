@@ -40,6 +40,7 @@ from .friction_laws import best_laws
 from .gauss_newton import NEARLY, Candidate, gather, refine
 from .held_out_test import LOWERS, helps
 from .nonrigid_screening import asked_first, worth_columns
+from .prescreening import shortlisted
 from .regression import ColumnEvidence
 
 Progress = Callable[[str, float], None]
@@ -192,11 +193,12 @@ def _screened(
         shown = records.shown(point, first)
         asked = [*rest, *worth_columns(first, shown, records.sensor_shape, little_of_it)]
     progress(f"screening {len(asked)} candidates", share(len(rounds)))
+    asked = shortlisted(point, asked, records)
     train = gather(point, records.train(point, asked))
     visible = _VISIBLE * float(train.count.sum()) if explained else 0.0
     if explained and train.excess > visible:
-        asked = candidates
-        progress(f"screening {len(asked)} candidates", share(len(rounds)))
+        progress(f"screening {len(candidates)} candidates", share(len(rounds)))
+        asked = shortlisted(point, candidates, records)
         train = gather(point, records.train(point, asked))
     before = rounds[0].excess - train.excess if rounds else 0.0
     little = error.squares < MUCH * error.floor

@@ -111,6 +111,14 @@ def test_trace_continues_in_one_process_when_a_worker_dies(sources: list[RecordS
     assert line.endswith("; continuing in this process")
 
 
+def test_each_source_may_have_a_task_of_its_own(sources: list[RecordSource]) -> None:
+    tasks = [attrgetter("rows"), attrgetter("name"), attrgetter("rows")]
+    expected = [1000, "r1", 800]
+    with local_workers(CONFIG, 2) as spread:
+        assert spread.map(tasks, sources) == expected
+    assert Alone(CONFIG).map(tasks, sources) == expected
+
+
 def test_error_in_a_task_is_raised_and_no_worker_is_lost(sources: list[RecordSource]) -> None:
     messages: list[str] = []
     with (

@@ -22,6 +22,7 @@ from levid.config.shipped import shipped
 from levid.model.effects.base import Effect, Places, Quantity
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.flexible import PATTERNS
+from levid.model.effects.relative_gains import relative_gains
 from levid.model.geometry import shape_matrix
 
 Row = tuple[str, str, str]
@@ -56,7 +57,8 @@ def main() -> None:
 def page() -> str:
     """Return the page: a section for each family, on the rig and then on any other plant."""
     families: dict[str, dict[Row, list[Effect]]] = {}
-    for effect in all_effects(rig_places()):
+    places = rig_places()
+    for effect in (*all_effects(places), *relative_gains(places)):
         rows = families.setdefault(_module(effect).__name__, {})
         rows.setdefault(_row_of(effect), []).append(effect)
     others = all_effects(one_dof("m", "N"))

@@ -15,6 +15,7 @@ from .candidate_effects import all_effects
 from .freeform import freeform_effect
 from .magnetic_force import magnetic_force_effect
 from .operating_range import Extent
+from .relative_gains import relative_gains
 from .vibration import tone
 
 _TONE = re.compile(r"vibration\.\w+\.([0-9.e+]+)hz")
@@ -63,7 +64,8 @@ def placed_effects(
         fastest_hz=math.inf,
         stuck=tuple(range(places.sensors)),
     )
-    table = {e.identity: e for e in all_effects(places, covered)}
+    some = [*all_effects(places, covered), *relative_gains(places)]
+    table = {e.identity: e for e in some}
     locations = [tuple(located(w, places) for w in entry.where) for entry in declared]
     for entry, at in zip(declared, locations, strict=True):
         found = _TONE.fullmatch(entry.effect)

@@ -25,6 +25,7 @@ _GRAVITY_M_S2 = 9.81
 _RECORD_S = 24.0
 """A payload's time is relative to a record of trace-short.yaml, not to the session's clock."""
 _SAME_LINE_HZ = 0.3
+NORMAL_95 = 1.96
 _POSE = ("psi", "theta", "z")
 
 
@@ -77,6 +78,27 @@ def relative_errors(
         for effect in (*placed, *random)
         if (number := one.in_(effect)) is not None
     ]
+
+
+def intervals(
+    entries: Sequence[Values], placed: Sequence[Mapping[str, Any]]
+) -> list[tuple[bool, float]]:
+    """Return for each known number that has a standard error: whether its interval has the truth.
+
+    The interval is that of 95 %; its half width over the true number follows. Numbers that are
+    computed from several parameters have none.
+    """
+    found = []
+    for one in (one for entry in entries for one in known(entry)):
+        for effect in placed:
+            number = one.in_(effect)
+            if number is None or not isinstance(one.read, str):
+                continue
+            error = effect["parameters"][one.read].get("se")
+            if error is not None and math.isfinite(error):
+                half = NORMAL_95 * error
+                found.append((abs(number - one.value) <= half, half / abs(one.value)))
+    return found
 
 
 def is_called(effect: str, key: str) -> bool:

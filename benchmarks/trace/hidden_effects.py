@@ -22,7 +22,7 @@ from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, sh
 from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
 from levid.benchmarks.trace.hidden_effect_cases import CASES, FLOOR_M, TIMES, UNLISTED, Case
 from levid.benchmarks.trace.hidden_effect_flight import Found, fly_and_trace
-from levid.benchmarks.trace.hidden_effect_parameter_errors import relative_errors
+from levid.benchmarks.trace.hidden_effect_parameter_errors import intervals, relative_errors
 from levid.benchmarks.trace.hidden_effect_score import EXPLAINED, Score, score_plant
 
 CORES = 2
@@ -49,11 +49,15 @@ class Plant:
 
 @dataclass(frozen=True)
 class Result:
-    """A plant's score, and the largest relative error of its parameters if any can be compared."""
+    """A plant's score, and the largest relative error of its parameters if any can be compared.
+
+    intervals: for each known number, whether its 95 % interval has it, and the half width over it.
+    """
 
     plant: Plant
     score: Score
     error: float | None
+    intervals: tuple[tuple[bool, float], ...] = ()
 
     @classmethod
     def of(cls, plant: Plant, found: Found) -> Result:
@@ -61,7 +65,8 @@ class Result:
         score = score_plant(plant.cases, found.summary, FLOOR_M / found.sensor_sd_m)
         entries = [case.effect(plant.times) for case in plant.cases]
         errors = relative_errors(entries, found.summary, found.placed)
-        return cls(plant, score, max(errors, default=None))
+        inside = tuple(intervals(entries, found.placed)) if score.right else ()
+        return cls(plant, score, max(errors, default=None), inside)
 
     def __str__(self) -> str:
         verdict = "right" if self.score.right else "wrong"
@@ -184,6 +189,12 @@ def figures(results: Sequence[Result], failed: int) -> Iterator[Figure]:
     after, most = [r.score.after for r in named], Target(most=EXPLAINED)
     middle = statistics.median(after) if after else None
     yield Figure("after_over_floor", middle, "x floor", "error after, median", target=most)
+    inside = [one for r in results for one in r.intervals]
+    covered = 100.0 * sum(i for i, _ in inside) / len(inside) if inside else None
+    label = f"95 % intervals with the truth (of {len(inside)}, plants named right)"
+    yield Figure("coverage_percent", covered, "%", label, target=Target(least=90.0))
+    half = statistics.median(w for _, w in inside) if inside else None
+    yield Figure("interval", half, "", "their half width over the true number, median")
     for times in TIMES[1:]:
         alone = [r for r in named if r.plant.kind == "alone" and r.plant.times == times]
         within = [r.error <= 0.05 for r in alone if r.error is not None]

@@ -24,8 +24,6 @@ import yaml
 
 from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.benchmarks.harness.checkout_of_commit import Version, both_versions
-from levid.benchmarks.harness.virtual_flight import fly_session
-from levid.benchmarks.trace.hidden_effect_flight import rig
 from levid.benchmarks.trace.trace_time_and_memory import EFFECTS, session
 
 COMMIT, REPEATS = "da9bfb8", 2
@@ -46,11 +44,10 @@ def main() -> None:
 def compare(commit: str, quick: bool) -> Iterator[Figure]:
     """Yield the median times of both versions, their ratio, and what each found."""
     with both_versions(commit) as versions, tempfile.TemporaryDirectory() as folder:
-        plan = session(24.0 if quick else 60.0, quick)
-        logs = fly_session(plan, Path(folder) / "logs", list(EFFECTS.values()), rig())
+        logs = _flown(versions[0], session(24.0 if quick else 60.0, quick), Path(folder))
         models = {v.name: _model(v, Path(folder)) for v in versions}
         for version in versions:
-            _traced(version, logs[:3], models[version.name], Path(folder))
+            _traced(version, logs[: len(logs) // 2], models[version.name], Path(folder))
         seconds: dict[str, list[float]] = {v.name: [] for v in versions}
         for _ in range(REPEATS):
             for version in versions:
@@ -63,6 +60,20 @@ def compare(commit: str, quick: bool) -> Iterator[Figure]:
         yield Figure("after_s", after, "s", f"{len(logs)} records, this checkout")
         target = None if quick else Target(most=0.4)
         yield Figure("ratio", after / before, "", "time over that of the commit", target=target)
+
+
+def _flown(version: Version, plan: dict[str, object], folder: Path) -> list[Path]:
+    """Fly a session with a commit's code, whose logs this checkout can read; return the logs."""
+    shipped = version.folder / "levid" / "config"
+    sim = yaml.safe_load((shipped / "sims" / "nominal.yaml").read_text(encoding="utf-8"))
+    files = {"session": plan, "sim": {**sim, "effects": list(EFFECTS.values())}}
+    for name, content in files.items():
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
+    command = [sys.executable, "-m", "levid.cli.main", "excite", str(folder / "session.yaml")]
+    command += ["--virtual", "--sim", str(folder / "sim.yaml"), "--out", str(folder / "logs")]
+    command += ["--rig", str(shipped / "rigs" / "loopback.yaml")]
+    _run(version, command)
+    return sorted((folder / "logs").glob("*record-*.mcap"))
 
 
 def _model(version: Version, folder: Path) -> Path:
@@ -86,6 +97,12 @@ def _traced(
     command = [sys.executable, "-m", "levid.cli.main", "trace", *map(str, logs)]
     command += ["--model", str(model), "--json", "--out", str(folder / "found")]
     begin = time.perf_counter()
+    said = _run(version, command)
+    return time.perf_counter() - begin, json.loads(said)
+
+
+def _run(version: Version, command: Sequence[str]) -> str:
+    """Return what a command of a version prints; exits with its message if it fails."""
     done = subprocess.run(
         command,
         cwd=version.folder,
@@ -94,10 +111,11 @@ def _traced(
         text=True,
         check=False,
     )
-    taken = time.perf_counter() - begin
     if done.returncode:
-        sys.exit(f"{version.name}: levid trace ended with {done.returncode}: {done.stderr}")
-    return taken, json.loads(done.stdout)
+        sys.exit(
+            f"{version.name}: {' '.join(command[2:4])} ended with {done.returncode}: {done.stderr}"
+        )
+    return done.stdout
 
 
 if __name__ == "__main__":

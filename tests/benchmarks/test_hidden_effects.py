@@ -10,7 +10,7 @@ from effect_test_helpers import CLASSES, rig_places, shipped_effects
 from levid.benchmarks.trace import hidden_effects
 from levid.benchmarks.trace.hidden_effect_cases import CASES, TIMES, UNLISTED
 from levid.benchmarks.trace.hidden_effect_flight import Found
-from levid.benchmarks.trace.hidden_effect_parameter_errors import known, relative_errors
+from levid.benchmarks.trace.hidden_effect_parameter_errors import intervals, known, relative_errors
 from levid.benchmarks.trace.hidden_effect_score import score_plant
 from levid.benchmarks.trace.scales_and_large_effects import SCALED
 from levid.config.sim import SimEffect
@@ -177,6 +177,16 @@ def test_parameters_compare_in_the_units_of_the_candidates() -> None:
     late = {"time": {"value": payload["begin_s"] + 1.2}}
     placed = {"effect": "payload", "where": ["psi", "theta", "z"], "parameters": late}
     assert relative_errors([payload], said(), [placed]) == pytest.approx([1.2 / 24.0])  # a record
+
+
+@pytest.mark.parametrize(("off", "inside"), [(0.1, True), (-0.1, True), (0.2, False)])
+def test_interval_of_a_parameter_has_the_truth_or_not(off: float, inside: bool) -> None:
+    entry = CASE["cubic-psi"].effect(5.0)
+    true = entry["k3_n_m3"] * 0.12**4
+    k3 = {"value": (1.0 + off) * true, "se": 0.06 * true}
+    placed = {"effect": "rod_stiffness.cubic", "where": ["psi"], "parameters": {"k3": k3}}
+    assert intervals([entry], [placed]) == [(inside, pytest.approx(1.96 * 0.06))]
+    assert intervals([entry], [{**placed, "parameters": {"k3": {"value": true, "se": None}}}]) == []
 
 
 def test_a_random_force_is_compared_with_its_report() -> None:

@@ -113,6 +113,15 @@ def score_plant(cases: Sequence[Case], summary: Mapping[str, Any], floor: float)
     return _score_listed(cases, reports, summary, score)
 
 
+def named_truly(cases: Sequence[Case], named: Mapping[str, Any]) -> bool:
+    """Return whether a reported name, with its class and places, is one of these effects.
+
+    A class that fits the data as well as the true one (`alike`) counts.
+    """
+    one = _Named(named["class"], frozenset(named["where"]), (named["where"] or [""])[0])
+    return any(one.matches(case) or (one.kind in case.alike and one.near(case)) for case in cases)
+
+
 def _score_listed(
     cases: Sequence[Case], reports: Sequence[_Report], summary: Mapping[str, Any], score: Score
 ) -> Score:

@@ -13,17 +13,25 @@ import multiprocessing
 import random
 import statistics
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
+from typing import Any
 
 from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.benchmarks.harness.child_measurement import Outcome, measure_apart
+from levid.benchmarks.trace import support_calibration
 from levid.benchmarks.trace.hidden_effect_cases import CASES, FLOOR_M, TIMES, UNLISTED, Case
 from levid.benchmarks.trace.hidden_effect_flight import Found, fly_and_trace
 from levid.benchmarks.trace.hidden_effect_parameter_errors import intervals, relative_errors
-from levid.benchmarks.trace.hidden_effect_score import EXPLAINED, Score, score_plant
+from levid.benchmarks.trace.hidden_effect_score import (
+    EXPLAINED,
+    Score,
+    named_truly,
+    score_plant,
+)
 
 CORES = 2
 QUICK = ("cubic-z", "coulomb-z", "bouc-wen-psi", "magnet-field", "gain-coil-3", "gain-sensor-2")
@@ -52,12 +60,14 @@ class Result:
     """A plant's score, and the largest relative error of its parameters if any can be compared.
 
     intervals: for each known number, whether its 95 % interval has it, and the half width over it.
+    told: its names, with their support and whether they are true; of an unlisted effect none is.
     """
 
     plant: Plant
     score: Score
     error: float | None
     intervals: tuple[tuple[bool, float], ...] = ()
+    told: tuple[support_calibration.Statement, ...] = ()
 
     @classmethod
     def of(cls, plant: Plant, found: Found) -> Result:
@@ -66,13 +76,20 @@ class Result:
         entries = [case.effect(plant.times) for case in plant.cases]
         errors = relative_errors(entries, found.summary, found.placed)
         inside = tuple(intervals(entries, found.placed)) if score.right else ()
-        return cls(plant, score, max(errors, default=None), inside)
+        told = support_calibration.statements(
+            found.summary, partial(named_truly, plant.cases) if plant.kind != "unlisted" else _never
+        )
+        return cls(plant, score, max(errors, default=None), inside, tuple(told))
 
     def __str__(self) -> str:
         verdict = "right" if self.score.right else "wrong"
         error = "" if self.error is None else f", parameters off by {self.error:.2g}"
         floors = f"{self.score.before:.3g} to {self.score.after:.3g} floors"
         return f"{verdict}: {self.score.said}; {floors}{error}"
+
+
+def _never(_: Mapping[str, Any]) -> bool:
+    return False
 
 
 def main() -> None:
@@ -195,6 +212,7 @@ def figures(results: Sequence[Result], failed: int) -> Iterator[Figure]:
     yield Figure("coverage_percent", covered, "%", label, target=Target(least=90.0))
     half = statistics.median(w for _, w in inside) if inside else None
     yield Figure("interval", half, "", "their half width over the true number, median")
+    yield from support_calibration.figures([one for r in results for one in r.told])
     for times in TIMES[1:]:
         alone = [r for r in named if r.plant.kind == "alone" and r.plant.times == times]
         within = [r.error <= 0.05 for r in alone if r.error is not None]

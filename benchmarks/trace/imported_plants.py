@@ -26,6 +26,7 @@ from rich.table import Table
 from scipy.signal import butter, lfilter
 
 from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
+from levid.benchmarks.trace.support_calibration import Statement, figures, statements
 from levid.config.base import parse
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment_from_log import Experiment
@@ -183,8 +184,9 @@ def declared(plant: Plant, rng: Generator) -> ModelConfig:
     return parse({**plain, "B": np.diag(plant.values[3]).tolist()}, ModelConfig, "plant")
 
 
-def scored(name: str, seed: int) -> tuple[dict[str, float], list[bool]]:
-    """Return the score of a plant by keys of COLUMNS, and whether each interval has the truth."""
+def scored(name: str, seed: int) -> tuple[dict[str, float], list[bool], list[Statement]]:
+    """Return the score of a plant by keys of COLUMNS, whether each interval has the truth, and the
+    names with their support."""
     rng, (simulate, effect) = np.random.default_rng(seed), PLANTS[name]
     plant, u, y = simulate(rng, effect)
     config, in_loop = declared(plant, rng), bool(np.any(plant.values[4:6]))
@@ -215,7 +217,7 @@ def scored(name: str, seed: int) -> tuple[dict[str, float], list[bool]]:
         "force_after": force["after"], "seconds": seconds,
     }  # fmt: skip
     print(f"{name} {seed}: {summary['unexplained']['found']}", file=sys.stderr)
-    return score, inside
+    return score, inside, statements(summary, right)
 
 
 KEYS = "right in_group false_name free_form force_before force_after seconds inside intervals"
@@ -224,11 +226,13 @@ COLUMNS = dict(zip(KEYS.split(), HEADINGS.split(","), strict=True))
 """Headings by key: shares in %, medians of missing force in % and of seconds."""
 
 
-def row(scores: Sequence[tuple[dict[str, float], list[bool]]], effect: bool) -> list[float | None]:
+def row(
+    scores: Sequence[tuple[dict[str, float], list[bool], list[Statement]]], effect: bool
+) -> list[float | None]:
     """Return the values of COLUMNS of one plant; None where there is nothing to count."""
-    values = np.array([[*score.values()] for score, _ in scores], dtype=float)
+    values = np.array([[*score.values()] for score, *_ in scores], dtype=float)
     shares, medians = 100.0 * values[:, :4].mean(axis=0), np.median(values[:, 4:], axis=0)
-    inside = [ok for _, some in scores for ok in some]
+    inside = [ok for _, some, _ in scores for ok in some]
     covered = 100.0 * float(np.mean(inside)) if inside else None
     named = shares[:2].tolist() if effect else [None, None]
     return [*named, *shares[2:].tolist(), *medians.tolist(), covered, float(len(inside))]
@@ -244,10 +248,11 @@ def main() -> None:
     table = Table("plant", "seeds", *COLUMNS.values())
 
     def measure() -> Iterator[Figure]:
-        false = 0
+        false, told = 0, list[Statement]()
         for name in arguments.only:
             scores = [scored(name, seed) for seed in range(first, first + seeds)]
-            false += sum(bool(score["false_name"]) for score, _ in scores)
+            false += sum(bool(score["false_name"]) for score, *_ in scores)
+            told += [one for *_, some in scores for one in some]
             values = row(scores, PLANTS[name][1])
             shown = ["-" if x is None else f"{x:.3g}" for x in values]
             table.add_row(name, str(seeds), *shown)
@@ -255,6 +260,7 @@ def main() -> None:
                 yield Figure(f"{name}_{key}", x, "", "")
         label = "records with a false name"
         yield Figure("false_names", false, "", label, target=Target(most=0.0))
+        yield from figures(told)
 
     show("Imported plants", arguments, measure, lambda: [table])
 

@@ -115,17 +115,9 @@ class FoundEffect:
 
     @property
     def others(self) -> tuple[Effect, ...]:
-        """Effects of another class or place that these records do not tell from it.
-
-        One with more numbers at the same place is none: the simplest law of a place is taken.
-        """
+        """Effects of another class or place that these records do not tell from it."""
         found = () if self.evidence is None else self.evidence.alternatives
-        own = self.effect
-        return tuple(
-            e
-            for e in found
-            if _kind(e) != _kind(own) and (e.where != own.where or _numbers(e) <= _numbers(own))
-        )
+        return tuple(e for e in found if _kind(e) != _kind(self.effect))
 
     @property
     def name(self) -> str:
@@ -435,10 +427,6 @@ def _parameters(placed: Placed) -> dict[str, EffectParameter]:
 
 def _finite(value: float | None) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
-
-
-def _numbers(effect: Effect) -> int:
-    return len(effect.amplitudes) + len(effect.shape)
 
 
 def _kind(effect: Effect) -> tuple[str, tuple[str, ...]]:

@@ -137,13 +137,19 @@ def not_told_apart(members: Sequence[Member]) -> list[Member]:
     """Return the simplest member that is not surely worse than the best, then its equals.
 
     Surely is by three standard errors of the sum of the differences over the blocks; a richer one
-    must also be better by what any effect must take.
+    must also be better by what any effect must take. One that is richer at the same place and not
+    surely better is no equal: it can do what the simpler one does, as a dead zone that is wider
+    than all commands, and nothing asks for more.
     """
     best = min(members, key=lambda m: float(m.squares.sum()))
     good = [m for m in members if not _worse(m.squares, best.squares, LEAST)]
     chosen = min(good, key=lambda m: (_numbers(m.tried.effect), m is not members[0]))
     same = max(_NOTHING, _ACCURATE * members[0].tried.gain)
-    equals = [m for m in members if not _worse(m.squares, chosen.squares, same)]
+    equals = [
+        m
+        for m in members
+        if not _worse(m.squares, chosen.squares, same) and not _contains(m, chosen)
+    ]
     return [chosen, *(m for m in equals if m is not chosen)]
 
 
@@ -183,6 +189,11 @@ def _shares(squares: Sequence[Array]) -> tuple[float, ...]:
     sums = np.array([one[picks].sum(axis=1) for one in squares])
     first = sums < sums.min(axis=0) + _NOTHING
     return tuple((first / first.sum(axis=0)).mean(axis=1).tolist())
+
+
+def _contains(member: Member, simpler: Member) -> bool:
+    one, other = member.tried.effect, simpler.tried.effect
+    return set(one.where) == set(other.where) and _numbers(one) > _numbers(other)
 
 
 def _numbers(effect: Effect) -> int:

@@ -14,8 +14,10 @@ from levid.identification.trace.search.effects_not_told_apart import Member, not
 BLOCKS = 60
 
 
-def member(key: str, numbers: int, squares: Any, gain: float = 0.0) -> Member:
-    effect = SimpleNamespace(key=key, identity=key, amplitudes=(0,) * numbers, shape=())
+def member(key: str, numbers: int, squares: Any, gain: float = 0.0, where: str = "z") -> Member:
+    effect = SimpleNamespace(
+        key=key, identity=key, amplitudes=(0,) * numbers, shape=(), where=(where,)
+    )
     tried = SimpleNamespace(effect=effect, gain=gain)
     return Member(tried, SimpleNamespace(), np.asarray(squares))
 
@@ -52,7 +54,7 @@ def test_difference_within_the_accuracy_of_the_columns_tells_nothing() -> None:
 def test_richer_effect_replaces_a_simpler_one_only_if_it_is_surely_better() -> None:
     simple = member("simple", 1, squares(3, 0.0, 0.0))
     # By two and by four standard errors.
-    better = member("rich", 4, squares(4, -2 * 10 / np.sqrt(BLOCKS), 10.0))
+    better = member("rich", 4, squares(4, -2 * 10 / np.sqrt(BLOCKS), 10.0), where="psi")
     surely = member("rich", 4, squares(4, -4 * 10 / np.sqrt(BLOCKS), 10.0))
     assert keys(not_told_apart([simple, better])) == ["simple", "rich"]
     assert keys(not_told_apart([simple, surely])) == ["rich"]
@@ -63,9 +65,16 @@ def test_richer_effect_replaces_a_simpler_one_only_if_it_is_surely_better() -> N
 
 def test_simpler_effect_takes_the_place_of_the_accepted_one() -> None:
     flat = np.full(BLOCKS, 1000.0)
-    assert keys(not_told_apart([member("rich", 4, flat), member("simple", 1, flat)])) == [
-        "simple", "rich",
-    ]  # fmt: skip
+    rich = member("rich", 4, flat, where="psi")
+    assert keys(not_told_apart([rich, member("simple", 1, flat)])) == ["simple", "rich"]
+
+
+def test_richer_law_at_the_same_place_is_no_equal_of_a_simpler_one() -> None:
+    """A dead zone that is wider than all commands is a gain."""
+    flat = np.full(BLOCKS, 1000.0)
+    gain, zone, other = member("gain", 1, flat), member("zone", 2, flat), member("other", 1, flat)
+    assert keys(not_told_apart([gain, zone, other])) == ["gain", "other"]
+    assert keys(not_told_apart([zone, gain])) == ["gain"]
 
 
 def test_equal_fits_share_the_resamples() -> None:

@@ -16,7 +16,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed, Signals, Term
+from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
 from ..linearised.linearise_prediction_errors import effect_terms
 from .backward_elimination import columns_of, without_effect
@@ -48,13 +50,28 @@ def with_fitted_shapes(
         active = [fit for fit in fits if not fit.ended]
         if not active:
             break
-        train = steadied(gather(point, records.train(point, [fit.asked() for fit in active])))
-        if instead_of is not None:
-            columns = columns_of(point, instead_of)
-            train = without_effect(train, columns, instead_of.amplitudes)
-        for i, fit in enumerate(active):
-            fit.told(train, i)
+        _step(point, active, records, instead_of)
     return [fit.best for fit in fits]
+
+
+def _step(
+    point: WorkingPoint, fits: Sequence[_Fit], records: Fitted, instead_of: Placed | None
+) -> None:
+    """Ask the records about the next shapes; one that cannot be computed ends its fit alone."""
+    try:
+        train = steadied(gather(point, records.train(point, [fit.asked() for fit in fits])))
+    except (ModelError, IdentificationError, np.linalg.LinAlgError):
+        if len(fits) == 1:
+            fits[0].ended = True
+            return
+        for fit in fits:
+            _step(point, [fit], records, instead_of)
+        return
+    if instead_of is not None:
+        columns = columns_of(point, instead_of)
+        train = without_effect(train, columns, instead_of.amplitudes)
+    for i, fit in enumerate(fits):
+        fit.told(train, i)
 
 
 class _Fit:
@@ -74,6 +91,9 @@ class _Fit:
     def told(self, train: ColumnEvidence, number: int) -> None:
         """Take what candidate `number` of the evidence says of the shape; find the next one."""
         there = _Joined.of(train, number, self.best, self._asked)
+        if self._joined is None and not np.isfinite(there.squares):
+            self.best, self.ended = replace(self.best, gain=-np.inf), True
+            return
         if there.squares < self._squares:
             self.best = replace(
                 self.best,

@@ -127,3 +127,21 @@ def test_amplitude_outside_its_bounds_stays_at_the_bound(rubbing: TraceRecord) -
     here = replace(point(), placed=(placed,))  # the errors ask for a friction that drives
     (found,) = with_fitted_shapes(here, [started(COULOMB, 1e-2)], OneRecord(rubbing))
     assert found.amplitudes == (0.0,)
+
+
+def test_shape_that_cannot_be_computed_ends_its_own_fit_only(rubbing: TraceRecord) -> None:
+    alone = with_fitted_shapes(point(), [started(COULOMB, 1e-3)], OneRecord(rubbing))
+    good, bad = started(COULOMB, 1e-3), started(DAHL, 1e-5)
+
+    def fails(signals, shape):
+        raise np.linalg.LinAlgError("no such shape")
+
+    def endless(signals, shape):
+        return [Term(force=np.full((signals.rows, 3), np.nan))]
+
+    raising = replace(bad, effect=replace(bad.effect, build=fails))
+    undefined = replace(bad, effect=replace(bad.effect, build=endless))
+    found = with_fitted_shapes(point(), [raising, good, undefined], OneRecord(rubbing))
+    assert found[0] == raising
+    assert found[1].shape == pytest.approx(alone[0].shape, rel=1e-9)
+    assert found[2].gain == -np.inf

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..linearised.linearisation_point import WorkingPoint
+from .candidate_screening import is_internal
 from .gauss_newton import Candidate, Fitted, gather
 from .regression import FOLDS, ColumnEvidence, gains
 
@@ -31,10 +32,18 @@ def shortlisted(
 ) -> list[Candidate]:
     """Return the candidates that explain most of some records, in their order.
 
-    All are returned if they are few, or if some records have too few blocks.
+    All are returned if they are few, or if some records have too few blocks. What acts on the
+    drives only is among them: what these measure is no error of the platform, by which the records
+    are chosen.
     """
     if len({e.identity for e, _ in candidates}) <= MOST:
         return list(candidates)
+    chosen = [c for c in candidates if not is_internal(c[0])]
+    best = {id(c) for c in _best(point, chosen, records)}
+    return [c for c in candidates if is_internal(c[0]) or id(c) in best]
+
+
+def _best(point: WorkingPoint, candidates: Sequence[Candidate], records: Fitted) -> list[Candidate]:
     train = gather(point, records.train(point))
     only = most_telling(train, train.gram[:, -1, -1] - train.count)
     if not only:

@@ -19,7 +19,12 @@ from levid.model.effects.operating_range import Extent
 
 EFFECTS = all_effects(PLACES, Extent.typical(PLACES))
 CUBIC = "rod_stiffness.cubic@z"
-CANDIDATES = [(e, tuple(shape)) for e in EFFECTS[:110] for shape in e.grid]
+CANDIDATES = [
+    (e, tuple(shape))
+    for e in EFFECTS[:110]
+    if e.effect_class in {"friction", "cogging"} or not e.shape
+    for shape in (e.grid if e.where == ("z",) else e.grid[:1])
+]
 
 
 def evidence(squares: list[float], records: list[int]) -> SimpleNamespace:

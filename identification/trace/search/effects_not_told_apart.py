@@ -108,12 +108,15 @@ def alike_along(
 def in_place(
     point: WorkingPoint, taken: Tried, rivals: Sequence[Tried], records: Records
 ) -> list[Member]:
-    """Return an effect of the point and its rivals, each fitted in its place.
+    """Return an effect of the point and its rivals, each fitted in its place, itself too.
 
     Rivals that cannot be fitted, or that act already, are left out.
     """
+    if rivals:  # a fit that is nearly done would lose against one that is
+        point, _ = refine(point, records, within=FULLY)
     own = _placed(point, taken.effect)
     assert own is not None
+    taken = replace(taken, shape=own.shape, amplitudes=own.amplitudes)
     members = [Member(taken, point, _squares(point, records))]
     others = {p.effect.identity for p in point.placed}
     for rival in rivals:

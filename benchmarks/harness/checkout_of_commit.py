@@ -36,6 +36,23 @@ class Version:
         }
         return os.environ | own
 
+    def levid(self, *arguments: str) -> str:
+        """Return what a command of this version prints; exits with its message if it fails."""
+        print(f"{self.name}: levid {arguments[0]} ...", file=sys.stderr, flush=True)
+        done = subprocess.run(
+            [sys.executable, "-m", "levid.cli.main", *arguments],
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            sys.exit(
+                f"{self.name}: levid {arguments[0]} ended with {done.returncode}: {done.stderr}"
+            )
+        return done.stdout
+
 
 @contextmanager
 def both_versions(commit: str) -> Iterator[tuple[Version, Version]]:

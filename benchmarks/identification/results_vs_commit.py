@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -55,7 +54,7 @@ def compare(commit: str, session: str, verbs: tuple[str, ...]) -> Iterator[Figur
             answers = []
             for version in (before, after):
                 out = Path(folder) / f"{verb}-{version.folder.name}"
-                said = _levid(version, verb, *logs, "--out", str(out), "--json")
+                said = version.levid(verb, *logs, "--out", str(out), "--json")
                 answers.append(json.loads(said))
             found = Comparison()
             found.compare(*answers)
@@ -114,26 +113,8 @@ def _fly(version: Version, session: str, folder: Path) -> list[str]:
     plan.write_text(without_then((shipped / "sessions" / plan.name).read_text(encoding="utf-8")))
     flown = ["excite", str(plan), "--virtual", "--out", str(logs)]
     flown += ["--rig", str(shipped / "rigs" / "loopback.yaml")]
-    _levid(version, *flown, "--sim", str(shipped / "sims" / "undeclared.yaml"))
+    version.levid(*flown, "--sim", str(shipped / "sims" / "undeclared.yaml"))
     return [str(path) for path in sorted(logs.glob("*.mcap"))]
-
-
-def _levid(version: Version, *arguments: str) -> str:
-    """Return what a command of this version prints; exits with its message if it fails."""
-    print(f"{version.name}: levid {arguments[0]} ...", file=sys.stderr, flush=True)
-    done = subprocess.run(
-        [sys.executable, "-m", "levid.cli.main", *arguments],
-        cwd=version.folder,
-        env=version.environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        sys.exit(
-            f"{version.name}: levid {arguments[0]} ended with {done.returncode}: {done.stderr}"
-        )
-    return done.stdout
 
 
 if __name__ == "__main__":

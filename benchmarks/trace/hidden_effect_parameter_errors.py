@@ -14,6 +14,7 @@ from typing import Any
 
 from levid.benchmarks.harness.virtual_flight import SIM
 from levid.config.base import read_mapping
+from levid.identification.subspace.response_uncertainty import SURE_95
 
 Values = Mapping[str, Any]
 Found = Mapping[str, float]
@@ -25,7 +26,6 @@ _GRAVITY_M_S2 = 9.81
 _RECORD_S = 24.0
 """A payload's time is relative to a record of trace-short.yaml, not to the session's clock."""
 _SAME_LINE_HZ = 0.3
-NORMAL_95 = 1.96
 _POSE = ("psi", "theta", "z")
 
 
@@ -96,7 +96,7 @@ def intervals(
                 continue
             error = effect["parameters"][one.read].get("se")
             if error is not None and math.isfinite(error):
-                half = NORMAL_95 * error
+                half = SURE_95 * error
                 found.append((abs(number - one.value) <= half, half / abs(one.value)))
     return found
 

@@ -24,13 +24,13 @@ from levid.benchmarks.trace.hidden_effect_flight import rig
 from levid.config.base import read_mapping
 from levid.config.model import load_model
 from levid.config.shipped import shipped
+from levid.identification.subspace.response_uncertainty import SURE_95
 from levid.identification.trace.run_trace import trace
 from levid.identification.trace.worker_pool import local_workers
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 
 COIL_SD, SENSOR_SD = 0.03, 0.02
-NORMAL_95 = 1.96
 CUBIC = {"use": "levid.sim.effects.stiffness:CubicRods", "dof": "z", "k3_n_m3": 3e8}
 
 
@@ -62,8 +62,8 @@ def measure(seeds: list[int]) -> Iterator[Figure]:
                     [effect.standard_errors[q.name] for q in effect.effect.amplitudes]
                 )
                 off[kind] += list(np.abs(found - truth[kind][:-1]))
-                width[kind] += list(NORMAL_95 * errors)
-                inside += list(np.abs(found - truth[kind][:-1]) < NORMAL_95 * errors)
+                width[kind] += list(SURE_95 * errors)
+                inside += list(np.abs(found - truth[kind][:-1]) < SURE_95 * errors)
         named = [p.effect.identity for p in placed if not p.effect.key.endswith(".relative")]
         found_cubic += cubic and "rod_stiffness.cubic@z" in named
         others += len(named) - (cubic and "rod_stiffness.cubic@z" in named)

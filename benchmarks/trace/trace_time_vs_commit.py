@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -69,10 +68,9 @@ def _flown(version: Version, plan: dict[str, object], folder: Path) -> list[Path
     files = {"session": plan, "sim": {**sim, "effects": list(EFFECTS.values())}}
     for name, content in files.items():
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
-    command = [sys.executable, "-m", "levid.cli.main", "excite", str(folder / "session.yaml")]
-    command += ["--virtual", "--sim", str(folder / "sim.yaml"), "--out", str(folder / "logs")]
-    command += ["--rig", str(shipped / "rigs" / "loopback.yaml")]
-    _run(version, command)
+    flown = ["excite", str(folder / "session.yaml"), "--virtual"]
+    flown += ["--sim", str(folder / "sim.yaml"), "--out", str(folder / "logs")]
+    version.levid(*flown, "--rig", str(shipped / "rigs" / "loopback.yaml"))
     return sorted((folder / "logs").glob("*record-*.mcap"))
 
 
@@ -94,28 +92,10 @@ def _traced(
     version: Version, logs: Sequence[Path], model: Path, folder: Path
 ) -> tuple[float, dict[str, list[dict[str, Any]]]]:
     """Return the time of a trace in s, start and report included, and what it printed."""
-    command = [sys.executable, "-m", "levid.cli.main", "trace", *map(str, logs)]
-    command += ["--model", str(model), "--json", "--out", str(folder / "found")]
+    options = ["--model", str(model), "--json", "--out", str(folder / "found")]
     begin = time.perf_counter()
-    said = _run(version, command)
+    said = version.levid("trace", *map(str, logs), *options)
     return time.perf_counter() - begin, json.loads(said)
-
-
-def _run(version: Version, command: Sequence[str]) -> str:
-    """Return what a command of a version prints; exits with its message if it fails."""
-    done = subprocess.run(
-        command,
-        cwd=version.folder,
-        env=version.environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        sys.exit(
-            f"{version.name}: {' '.join(command[2:4])} ended with {done.returncode}: {done.stderr}"
-        )
-    return done.stdout
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ _NEAR = 12.0
 """Fits whose squared errors differ by less than this share of what they gain are not told apart,
 nor those that differ by less than three standard deviations."""
 _ALONG = 0.05
-"""The same share for shapes that were fitted along the trajectories of the point: with their own
-ones, 2 % more or less was gained than that."""
+"""The same share for shapes that were fitted along the trajectories of the point. What they gain
+differs by up to 2 % from what a fit of the whole model gains."""
 _PRICE = 4.0
 """Squared errors that a parameter must save to be worth it."""
 MOST_EQUALS = 6

@@ -46,33 +46,26 @@ class Fitted(Protocol):
         """Return the training records linearised, all or some of them by number."""
 
 
-def refine(
-    point: WorkingPoint,
-    records: Fitted,
-    only: Sequence[int] | None = None,
-    steps: int = _STEPS,
-    within: float = 0.0,
-    most: float = np.inf,
-) -> tuple[WorkingPoint, float]:
+def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[WorkingPoint, float]:
     """Refine a point to the nearest local minimum; return it and its squared errors.
 
-    It ends where a whole step promises less than the share `within` of what is unexplained, and no
-    more than `most`; where two in a row take a tenth of that; and where errors rise along a short
-    one by more than a whole one promises: trajectories move too, and have another gradient.
+    It ends where a whole step promises less than the share `within` of what is unexplained; where
+    two in a row take a tenth of that; and where errors rise along a short one by more than a whole
+    one promises: trajectories move too, and have another gradient.
     """
-    train = gather(point, records.train(point, only=only))
+    train = gather(point, records.train(point))
     damping, crawls = 0.0, False
-    for _ in range(steps):
+    for _ in range(_STEPS):
         step, free = _step(point, train, 0.0)
         errors = np.sqrt(np.diag(covariance(train.whole, free))) / train.size[free]
         small = float(np.max(np.abs(step[free]) / errors, initial=0.0))
-        worth = max(_WORTH_A_STEP, min(within * train.excess, most))
+        worth = max(_WORTH_A_STEP, within * train.excess)
         promised = _promised(train, step)
         if small < _CONVERGED or promised < worth:
             break
         moved = stepped(point, _step(point, train, damping)[0] if damping else step)
         try:
-            after = gather(moved, records.train(moved, only=only))
+            after = gather(moved, records.train(moved))
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
             after = None
         if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):

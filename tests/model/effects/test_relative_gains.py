@@ -7,28 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from effect_test_helpers import rig_places
+from effect_test_helpers import moving, rig_places
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
-from levid.model.effects.base import Effect, Placed, Signals, total
+from levid.model.effects.base import Effect, Placed, total
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.effect_serialization import placed_effects
 from levid.model.effects.relative_gains import COIL_GAINS, SENSOR_GAINS, relative_gains
 
 PLACES = rig_places()
-ROWS = 50
 KINDS = (("coil_gain", COIL_GAINS, "held"), ("sensor_gain", SENSOR_GAINS, "gap"))
-
-
-def moving() -> Signals:
-    rng = np.random.default_rng(1)
-    q, qd, qdd = rng.standard_normal((3, ROWS, 3))
-    still = np.zeros(ROWS)
-    return Signals(
-        1e-3, np.arange(ROWS) * 1e-3, q, qd, qdd, rng.standard_normal((ROWS, 9)),
-        still, still, still, still, still, still, delay_cycles=1, places=PLACES,
-    )  # fmt: skip
 
 
 def of(key: str) -> Effect:

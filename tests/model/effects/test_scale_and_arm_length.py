@@ -4,23 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_test_helpers import rig_places
+from effect_test_helpers import moving, rig_places
 
-from levid.model.effects.base import Effect, Placed, Places, Signals, together
+from levid.model.effects.base import Effect, Placed, Places, together
 from levid.model.effects.scale_and_arm_length import effects
 
 PLACES = rig_places()
-ROWS = 50
-
-
-def moving() -> Signals:
-    rng = np.random.default_rng(1)
-    q, qd, qdd = rng.standard_normal((3, ROWS, 3))
-    still = np.zeros(ROWS)
-    return Signals(
-        1e-3, np.arange(ROWS) * 1e-3, q, qd, qdd, rng.standard_normal((ROWS, 9)),
-        still, still, still, still, still, still, delay_cycles=1, places=PLACES,
-    )  # fmt: skip
 
 
 def of(key: str) -> Effect:

@@ -139,6 +139,8 @@ class Signals:
     gravity_m_s2: float = 9.81
     stuck: NDArray[np.bool_] | None = None
     """Rows where a sensor's reading is frozen (N, S); None if there are none."""
+    sensor_arms: tuple[float, ...] = ()
+    """Relative errors of the sensors' arms by DOF (n,); empty if they stand where declared."""
 
     @property
     def rows(self) -> int:
@@ -147,7 +149,10 @@ class Signals:
 
     def gap(self, sensor: int) -> Array:
         """Return the true height at one sensor (N,) in m."""
-        return np.asarray(self.q @ self.places.sensor_shape[sensor])
+        shape = self.places.sensor_shape[sensor]
+        if self.sensor_arms:
+            shape = shape * (1.0 + np.array(self.sensor_arms))
+        return np.asarray(self.q @ shape)
 
     def when_acting(self, values: Array) -> Array:
         """Return samples (N, ...) at the middle of the period in which each row's command acts."""
@@ -236,6 +241,10 @@ class Effect:
     returns their shape for a shape of this one."""
     scales_readings: bool = False
     """Whether the first amplitude is a scale error of all readings, those of other effects too."""
+    sensor_arms: tuple[int, ...] = ()
+    coil_arms: tuple[int, ...] = ()
+    """DOF by number for which the first amplitude is a relative error of the sensors' or the coils'
+    arms: other effects of sensors read heights there, and of coils have torques by them."""
 
     @property
     def name(self) -> str:
@@ -315,15 +324,40 @@ def total(terms: Sequence[Term]) -> Term:
 
 
 def together(placed: Sequence[Placed], signals: Signals) -> Term:
-    """Return the sum of effects; a scale error of all readings counts for the others' readings."""
+    """Return the sum of effects.
+
+    A scale error of all readings counts for the others' readings, and arms that differ for the
+    heights and torques of the others.
+    """
     scales = [p for p in placed if p.effect.scales_readings]
-    others = total([p.term(signals) for p in placed if not p.effect.scales_readings])
-    if not scales:
-        return others
-    if others.gap is not None:
+    arms = [p for p in placed if p.effect.sensor_arms or p.effect.coil_arms]
+    common = {id(p) for p in (*scales, *arms)}
+    there = with_sensor_arms(arms, signals)
+    found = total([p.term(there) for p in placed if id(p) not in common])
+    if arms and found.held is not None:
+        longer = 1.0 + _relative_arms(arms, "coil_arms", found.held.shape[1])
+        found = replace(found, held=longer * found.held)
+    found = total([found, *(p.term(signals) for p in arms)])
+    if scales and found.gap is not None:
         factor = float(np.prod([1.0 + p.amplitudes[0] for p in scales]))
-        others = replace(others, gap=factor * others.gap)
-    return total([others, *(p.term(signals) for p in scales)])
+        found = replace(found, gap=factor * found.gap)
+    return total([found, *(p.term(signals) for p in scales)])
+
+
+def with_sensor_arms(placed: Sequence[Placed], signals: Signals) -> Signals:
+    """Return the signals with heights where the sensors stand by what was found of their arms."""
+    if not any(p.effect.sensor_arms for p in placed):
+        return signals
+    arms = _relative_arms(placed, "sensor_arms", signals.q.shape[1])
+    return replace(signals, sensor_arms=tuple(arms.tolist()))
+
+
+def _relative_arms(placed: Sequence[Placed], of: str, count: int) -> Array:
+    """Return the relative errors of arms of sensors or coils by DOF (n,)."""
+    arms = np.zeros(count)
+    for p in placed:
+        arms[list(getattr(p.effect, of))] += p.amplitudes[0]
+    return arms
 
 
 def resolved(effects: Sequence[Effect], fastest_hz: float) -> list[Effect]:

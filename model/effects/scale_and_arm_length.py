@@ -53,16 +53,19 @@ def effects(places: Places) -> list[Effect]:
                 f"arm_length.both{suffix}", f"Arms of coils and sensors{axis}", where,
                 "torque = (1 + arm) tau - d q', reading = h + arm (h - z)",
                 partial(_arms, tilts=tilts), "inertia and stiffness of the tilts", damping,
+                sensor_arms=tilts, coil_arms=tilts,
             ),
             _effect(
                 f"arm_length.sensors{suffix}", f"Arms of the sensors{axis}", where,
                 "reading = h + arm (h - z)",
                 partial(_sensor_arms, tilts=tilts), "inertia, damping and stiffness of the tilts",
+                sensor_arms=tilts,
             ),
             _effect(
                 f"arm_length.coils{suffix}", f"Arms of the coils{axis}", where,
                 "torque = (1 + arm) tau",
                 partial(_coil_arms, tilts=tilts), "inertia, damping and stiffness of the tilts",
+                coil_arms=tilts,
             ),
         ]  # fmt: skip
     return found
@@ -77,6 +80,8 @@ def _effect(
     absorbed_by: str,
     *more: Quantity,
     scales_readings: bool = False,
+    sensor_arms: tuple[int, ...] = (),
+    coil_arms: tuple[int, ...] = (),
 ) -> Effect:
     """Return an effect whose first amplitude is a relative error, named as in its equation."""
     kind = key.partition(".")[0]
@@ -84,6 +89,7 @@ def _effect(
     return Effect(
         key, title, kind, where, equation, (error, *more), build,
         absorbed_by=absorbed_by, told_apart_by=_KNOWN_FORCE, scales_readings=scales_readings,
+        sensor_arms=sensor_arms, coil_arms=coil_arms,
     )  # fmt: skip
 
 

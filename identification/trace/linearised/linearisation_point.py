@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ....model.declared_model import DeclaredModel
-from ....model.effects.base import Placed, Signals, Term, together
+from ....model.effects.base import Placed, Signals, Term, together, with_sensor_arms
 from ...greybox.discretisation import Motion, motion
 from ...greybox.experiment_from_log import Experiment
 from ...greybox.free_parameters import FreeParameters
@@ -137,7 +137,7 @@ def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Sign
             break
     if point.placed:
         added = together(point.placed, signals)
-    return signals, added
+    return with_sensor_arms(point.placed, signals), added
 
 
 def corrected_experiment(

@@ -7,6 +7,7 @@ import pytest
 from effect_test_helpers import moving, rig_places
 
 from levid.model.effects.base import Effect, Placed, Places, together
+from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.scale_and_arm_length import effects
 
 PLACES = rig_places()
@@ -70,3 +71,29 @@ def test_scale_of_all_sensors_acts_on_the_readings_of_other_effects_too() -> Non
     (_, arms) = placed
     np.testing.assert_allclose(term.held, arms.term(s).held)
     np.testing.assert_array_equal(together((arms,), s).gap, arms.term(s).gap)
+
+
+def test_gain_of_a_sensor_on_a_longer_arm_is_of_the_height_there() -> None:
+    s, gain, arm = moving(), 0.1, 0.05
+    static = {e.identity: e for e in all_effects(PLACES)}
+    sensor = Placed(static["sensor_gain@sensor:2"], (), (gain,))
+    longer = Placed(of("arm_length.sensors"), (), (arm,))
+    there = (s.q * [1.0 + arm, 1.0 + arm, 1.0]) @ PLACES.sensor_shape.T
+    read = there.copy()
+    read[:, 2] *= 1.0 + gain
+    term = together((sensor, longer), s)
+    assert term.gap is not None
+    np.testing.assert_allclose(s.q @ PLACES.sensor_shape.T + term.gap, read, atol=1e-15)
+
+
+def test_gain_of_a_coil_on_a_longer_arm_has_a_larger_torque() -> None:
+    s, gain, arm = moving(), -0.02, 0.05
+    static = {e.identity: e for e in all_effects(PLACES)}
+    coil = Placed(static["coil_gain@coil:6"], (), (gain,))
+    longer = Placed(of("arm_length.coils"), (), (arm,))
+    force = s.coil.copy()
+    force[:, 6] *= 1.0 + gain
+    there = (force @ PLACES.coil_shape) * [1.0 + arm, 1.0 + arm, 1.0]
+    term = together((coil, longer), s)
+    assert term.held is not None
+    np.testing.assert_allclose(s.coil @ PLACES.coil_shape + term.held, there, atol=1e-12)

@@ -186,7 +186,6 @@ def words(found: Trace) -> list[str]:
         ]
     lines += [f"{f.effect.name}, declared: {_values(f)}" for f in result.declared]
     lines += [f"removed: {name}, other effects explain the same error" for name in result.gone]
-    lines += [f"removed: {name}, it fitted noise" for name in result.followed]
     lines += [
         f"record {name}: the simulation with effects did not converge; its error is unreliable"
         for name in result.unsettled

@@ -24,7 +24,8 @@ from .residual.free_run_error import (
 )
 from .residual.random_vibration import RandomVibration
 from .run_trace import Trace
-from .search.candidate_screening import Round, Tried
+from .search.predictive_criterion import certainty
+from .search.tested_candidate import Round, Tried
 
 Array = NDArray[np.float64]
 
@@ -149,9 +150,8 @@ class Outcome:
     and of noise alone. mean_square: of the one-step-ahead errors after the trace on held-out
     records, in noise variances; `beyond`: the same of the readings' non-rigid free-run error, None
     without redundant sensors. `nearest`: candidates of the last round that explain most, none
-    significant.
-    gone: accepted or declared effects removed because others explain the same; followed: removed
-    because they followed random forces. noise_measured: the noise comes from still records.
+    significant. gone: accepted or declared effects removed because others explain the same.
+    noise_measured: the noise comes from still records.
     """
 
     effects: tuple[FoundEffect, ...]
@@ -166,7 +166,6 @@ class Outcome:
     gone: tuple[str, ...]
     unsettled: tuple[str, ...]
     shaken: tuple[RandomForce, ...] = ()
-    followed: tuple[str, ...] = ()
     noise_measured: bool = True
     actuators: frozenset[str] = frozenset()
     """Names of actuators that are located by their input's name instead of coil:N."""
@@ -270,7 +269,7 @@ def outcome(trace: Trace) -> Outcome:
     taken = {
         r.taken.effect.identity: r.taken.effect.name for r in trace.found.rounds if r.taken
     } | started
-    held, idle = trace.found.held, trace.found.idle
+    held = trace.found.held
     last = trace.found.rounds[-1]
     return Outcome(
         tuple(FoundEffect(p, evidence.get(k)) for k, p in placed.items() if k not in started),
@@ -282,13 +281,12 @@ def outcome(trace: Trace) -> Outcome:
         held.squares / max(float(held.count.sum()), 1.0),
         _beyond(trace),
         last.ranking[:_MOST_RIVALS] if last.taken is None else (),
-        tuple(n for key, n in taken.items() if key not in placed and key not in idle),
+        tuple(n for key, n in taken.items() if key not in placed),
         tuple(e.name for e in trace.after if not e.settled),
         tuple(
             RandomForce(s, trace.places.dof[s.dof], trace.places.force_unit(s.dof))
             for s in trace.shaken
         ),
-        tuple(n for key, n in taken.items() if key not in placed and key in idle),
         trace.found.point.disturbance.measured,
         frozenset(w for w in trace.places.actuators if ":" not in w),
     )
@@ -348,11 +346,14 @@ def summary(trace: Trace) -> dict[str, Any]:
                 },
                 "beyond_rigid": found.beyond,
                 "nearest": [
-                    {**_named(t.effect), "statistic_sd": t.chance, "squared_errors": t.gain}
+                    {
+                        **_named(t.effect),
+                        "statistic_sd": certainty(t.agreement),
+                        "squared_errors": t.gain,
+                    }
                     for t in found.nearest
                 ],
                 "given_up": list(found.gone),
-                "followed_noise": list(found.followed),
                 "unsettled_records": list(found.unsettled),
             },
         }
@@ -437,8 +438,8 @@ def _evidence(rounds: Sequence[Round], supports: Mapping[str, float]) -> dict[st
     """Return the evidence of accepted effects, by identity."""
     return {
         r.taken.effect.identity: Evidence(
-            r.taken.chance,
-            r.taken.held,
+            certainty(r.taken.agreement),
+            r.taken.agreement.asked,
             r.taken.gain,
             min(r.taken.gain / r.excess, 1.0) if r.excess > _MIN_EXCESS_SHARE * r.count else None,
             number,

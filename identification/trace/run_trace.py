@@ -33,11 +33,12 @@ from .records.searched_effects import searched_effects
 from .records.sensor_and_amplifier_noise import disturbance, require_noise
 from .residual.free_run_error import RecordError, pooled, record_error
 from .residual.random_vibration import RandomVibration, force_spectrum, shaking
-from .search.candidate_screening import HeldError
 from .search.gauss_newton import NEARLY, Candidate, refine
 from .search.nonrigid_screening import shown_beyond
 from .search.regression import FOLDS
-from .search.search import Found, search, without_followers
+from .search.search import Found, search
+from .search.tested_candidate import HeldError
+from .search_options import SearchOptions
 from .worker_pool import RecordSource, Workers
 
 Array = NDArray[np.float64]
@@ -82,6 +83,7 @@ def trace(
     effects: Callable[[Places, Extent], Sequence[Effect]],
     workers: Workers,
     progress: Progress,
+    options: SearchOptions | None = None,
 ) -> Trace:
     """Find the effects that the model of `config` lacks, and fit the model with them.
 
@@ -90,7 +92,7 @@ def trace(
     """
     # Each process uses one core: BLAS threads would compete for the same cores.
     with threadpool_limits(1):
-        return _trace(logs, config, effects, workers, progress)
+        return _trace(logs, config, effects, workers, progress, options or SearchOptions())
 
 
 def refit(
@@ -127,6 +129,7 @@ def _trace(
     effects: Callable[[Places, Extent], Sequence[Effect]],
     workers: Workers,
     progress: Progress,
+    options: SearchOptions,
 ) -> Trace:
     begun = _begin(logs, config, workers, progress)
     declared, logged, places, notes = begun.declared, begun.logged, begun.places, begun.notes
@@ -139,7 +142,7 @@ def _trace(
         start = _with_random_forces(declared, _shaken(declared, logged, workers))
     if start is not declared:
         start, _ = refine(start, logged, within=NEARLY)
-    found = search(start, table.named, table.free, logged, progress)
+    found = search(start, table.named, table.free, logged, progress, options)
     if start is not declared:
         point = replace(found.point, disturbance=declared.disturbance)
         found = replace(found, point=point)
@@ -152,11 +155,6 @@ def _trace(
     shaken: tuple[RandomVibration, ...] = ()
     if not error <= _UNEXPLAINED * floor:
         shaken = _shaken(found.point, logged, workers)
-        fewer = without_followers(found, logged) if shaken else found
-        if fewer is not found:
-            found = fewer
-            after = workers.map(partial(record_error, found.point), logged.kept)
-            shaken = _shaken(found.point, logged, workers)
     return Trace(
         config, places, declared, found, begun.fitted, begun.held,
         tuple(before), tuple(after), notes, shaken, begun.records,
@@ -258,8 +256,9 @@ class _Logged:
         return np.concatenate(self.workers.map(partial(noise_removed, point), self.fitted))
 
     def held_error(self, point: WorkingPoint) -> HeldError:
-        error, floor = pooled(self.workers.map(partial(record_error, point), self.kept))
-        return HeldError(error**2, floor**2)
+        errors = self.workers.map(partial(record_error, point), self.kept)
+        error, floor = pooled(errors)
+        return HeldError(error**2, floor**2, np.concatenate([e.blocks for e in errors]))
 
     def train(
         self,

@@ -132,7 +132,7 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
     if why is not None:
         asked = "On held-out records"
         if not why.held:
-            asked = "It does nothing in the records held out; between blocks of time of the others"
+            asked = "It does little in the records held out; between blocks of time of the others"
         parts.append(
             Text(
                 f"Taken in round {why.round}. Fitted to four fifths of the blocks of time it takes "

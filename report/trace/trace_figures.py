@@ -41,12 +41,12 @@ _ROW_IN = 0.23
 
 @dataclass(frozen=True)
 class Bar:
-    """A candidate: name, explained share, note, and whether it was fitted and accepted."""
+    """A candidate: name, explained share, note, and whether it passed the test and was accepted."""
 
     name: str
     explained: float
     note: str
-    fitted: bool
+    passed: bool
     accepted: bool
 
 
@@ -128,8 +128,8 @@ def candidates(
     """
     legend: list[Artist] = [
         Patch(facecolor=colour("blue"), label="taken"),
-        Patch(facecolor=colour("sky"), label="fitted beside it"),
-        Patch(facecolor=colour("edge"), label="screened"),
+        Patch(facecolor=colour("sky"), label="passed the test too"),
+        Patch(facecolor=colour("edge"), label="fitted, did not pass"),
     ]
     with drawing(sheet):
         grid = new_grid((1, 1), sheet, 0.27 * len(bars) + 0.45, legend)
@@ -137,7 +137,7 @@ def candidates(
         _make_room(grid.figure, [b.name for b in bars], sheet)
         rows = np.arange(len(bars))
         fill = [
-            colour("blue") if b.accepted else colour("sky") if b.fitted else colour("edge")
+            colour("blue") if b.accepted else colour("sky") if b.passed else colour("edge")
             for b in bars
         ]
         values = np.array([max(b.explained, 0.0) for b in bars])

@@ -73,10 +73,6 @@ def _words(result: Outcome, views: Views) -> list[Text]:
         texts.append(
             Text(f"Given up, since others explain what it did: {listed(list(result.gone))}.")
         )
-    if result.followed:
-        texts.append(
-            Text(f"Given up, since they followed what is random: {listed(list(result.followed))}.")
-        )
     if not result.noise_measured:
         texts.append(Text(NO_STILL))
     if result.doubtful:

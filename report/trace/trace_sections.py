@@ -14,7 +14,8 @@ from ...identification.records.record import OTHER_STEP
 from ...identification.trace.figure_data import Views
 from ...identification.trace.found_effects_summary import Outcome, model_after
 from ...identification.trace.run_trace import Trace
-from ...identification.trace.search.candidate_screening import Round
+from ...identification.trace.search.predictive_criterion import certainty
+from ...identification.trace.search.tested_candidate import Round
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
 from ..plotting.labelled_frequency_responses import symbol
@@ -161,9 +162,10 @@ def search_section(found: Trace) -> Section:
         Text(
             "Every round tries all effects of the table, each beside the model and the effects "
             "found so far; blocks of time that did not fit it tell what it explains. Those that "
-            "explain most are fitted, model and all, and the best of them is taken if held-out "
-            "records agree by more than six standard deviations of chance. Once these are "
-            "simulated as well as their noise allows, only what the drives alone feel is tried."
+            "explain most are fitted and tested: data that did not fit one must agree with it "
+            "beyond chance, and it must take a tenth of what there is. The best of those that "
+            "pass is fitted with the whole model, tested again and taken. Once held-out records "
+            "are simulated as well as their noise allows, only what the drives alone feel is tried."
         )
     ]
     for number, r in enumerate(found.found.rounds, start=1):
@@ -175,8 +177,8 @@ def search_section(found: Trace) -> Section:
                 f"trace-round-{number}",
                 to_svg(_candidates(r, bars)),
                 f"What the best candidates of round {number} explain of what was left.",
-                f"Round {number}: {_result(r)} Beside each bar how far held-out records agree with "
-                "it, in standard deviations of chance.",
+                f"Round {number}: {_result(r)} Beside each bar how far data that did not fit it "
+                "agree with it, in standard deviations of chance.",
             )
         )
     return Section(
@@ -185,7 +187,7 @@ def search_section(found: Trace) -> Section:
 
 
 def _bars(r: Round) -> list[Bar]:
-    fitted = {t.effect.identity for t in r.survivors}
+    passed = {t.effect.identity for t in r.survivors}
     accepted = None if r.taken is None else r.taken.effect.identity
     # The error above the noise has an uncertainty too, so a share can exceed 1.
     whole, most = (1.0, math.inf) if _is_noise(r) else (0.01 * r.excess, 100.0)
@@ -194,9 +196,9 @@ def _bars(r: Round) -> list[Bar]:
     for tried in shown:
         is_accepted = tried.effect.identity == accepted
         t = r.taken if is_accepted and r.taken is not None else tried
-        agrees = f"{t.chance:.1f} σ".replace("-", "−")
+        agrees = f"{certainty(t.agreement):.1f} σ".replace("-", "−")
         share = min(t.gain / whole, most)
-        bars.append(Bar(t.effect.name, share, agrees, t.effect.identity in fitted, is_accepted))
+        bars.append(Bar(t.effect.name, share, agrees, t.effect.identity in passed, is_accepted))
     return bars
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Effect, Placed
+from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate, taken_at
 from .force_record import ForceModel
 from .held_out_gain import (
@@ -28,7 +29,6 @@ from .held_out_gain import (
     fitted,
     gain_of,
 )
-from .search_options import SearchOptions
 from .training_records import Training, acting_force, missing_share, numbers_of
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ def rate(
             screened.append((best[0], effect, best[1]))
     screened.sort(key=lambda s: -s[0])
     found = []
-    for _, effect, shape in screened[: options.shortlisted]:
+    for _, effect, shape in screened[: options.fitted]:
         placed = fitted_candidate(rest, effect, shape, options.told_from_model)
         if placed is not None:
             found.append(rated_beside(whole, rest, placed, instead_of))
@@ -226,7 +226,7 @@ def with_alternatives(
     alike = [
         r
         for r in ranking
-        if r is chosen or (r.instead_of is chosen.instead_of and _alike(chosen, r, blocks, options))
+        if r is chosen or (r.instead_of is chosen.instead_of and _alike(chosen, r, blocks))
     ]
     alike = [r for r in alike if confirmed(r, options)]
     first = min(alike, key=lambda r: (r.numbers, _order(r)))
@@ -246,12 +246,12 @@ def with_alternatives(
     return replace(first, support=named[id(first)], alternatives=others, contenders=contenders)
 
 
-def _alike(best: Rated, other: Rated, blocks: Blocks, options: SearchOptions) -> bool:
+def _alike(best: Rated, other: Rated, blocks: Blocks) -> bool:
     """Return whether two candidates gain alike, within the scatter of their difference."""
     change = [one - two for one, two in zip(best.left, other.left, strict=True)]
     size = block_sums(blocks, change)
     difference = bounded(best.gain.raw - other.gain.raw, size)
-    return bool(difference.mean() <= options.alike * error_of_mean(difference, size))
+    return bool(difference.mean() <= error_of_mean(difference, size))
 
 
 def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:

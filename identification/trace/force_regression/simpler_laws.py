@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ....model.effects.base import Effect, Placed
+from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate
 from .force_record import ForceModel
 from .search import Rated, Searched, confirmed, rated_beside
-from .search_options import SearchOptions
 from .training_records import Training
 
 

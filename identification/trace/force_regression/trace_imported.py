@@ -30,6 +30,7 @@ from ..records.initial_guesses import extent
 from ..records.read_records import read_records
 from ..records.record_from_log import TraceRecord
 from ..records.searched_effects import searched_effects
+from ..search_options import SearchOptions
 from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
 from .held_out_gain import Blocks
@@ -38,7 +39,6 @@ from .reported_errors import PooledError, ReportedError, output_noise, reported_
 from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
 from .search import Progress, Searched, search
-from .search_options import SearchOptions
 from .simpler_laws import with_simpler_laws
 from .training_records import Training, missing_share
 
@@ -188,7 +188,7 @@ def _weighed(
     weighed = weighed.with_scale(weighed.at(point), options.told_from_model)
     better = weighed.first_fit(point)
     flat_at, better_at = (training.plain().at(p) for p in (point, better))
-    if np.any(missing_share(better_at) > options.worse * missing_share(flat_at)):
+    if np.any(missing_share(better_at) > options.much_left * missing_share(flat_at)):
         return training, point  # the weights follow noise in the motion, not what is missing
     return weighed, better
 

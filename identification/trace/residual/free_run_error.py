@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ...greybox.free_run_noise_floor import motion_covariance
+from ..linearised.gram_matrices import BLOCK_S
 from ..linearised.linearisation_point import WorkingPoint
 from ..records.record_from_log import TraceRecord
 from .free_run_with_effects import free_run
@@ -27,7 +28,8 @@ class RecordError:
     sensor noise variances; floor: the same of noise alone. pose_squares, pose_floor (n,): mean
     squares of the pose's error in SI units; pose_power (n,): those of the pose, without its mean.
     freq_hz (F,), psd (F, n): one-sided spectrum of the
-    pose's error. settled: whether the simulation with effects converged.
+    pose's error. settled: whether the simulation with effects converged. blocks (B,): `squares`
+    times the seconds of blocks of about four seconds.
     """
 
     name: str
@@ -41,6 +43,7 @@ class RecordError:
     freq_hz: Array
     psd: Array
     settled: bool
+    blocks: Array
 
 
 def record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
@@ -74,7 +77,14 @@ def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
         freq_hz,
         psd,
         run.settled,
+        _blocks(np.mean(error**2, axis=1) / sd**2, e.Ts_s),
     )
+
+
+def _blocks(squares: Array, Ts_s: float) -> Array:
+    """Return the sums over blocks of squares (rows,), times the sampling period (B,)."""
+    blocks = max(round(len(squares) * Ts_s / BLOCK_S), 1)
+    return np.array([Ts_s * part.sum() for part in np.array_split(squares, blocks)])
 
 
 def pooled(errors: Sequence[RecordError]) -> tuple[float, float]:

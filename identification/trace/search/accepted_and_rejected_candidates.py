@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 from ....model.effects.base import Effect, Placed
-from .candidate_screening import Round, Tried
 from .gauss_newton import Candidate
+from .tested_candidate import Tried
 
 _STILL = 0.5
 """Of what it took when it was refused, an effect must still take this to be asked again."""
@@ -47,11 +46,7 @@ class CandidateQueue:
         left = [e for e in effects if e.identity not in self._taken | self._barred]
         return [(effect, tuple(shape)) for effect in left for shape in effect.grid]
 
-    def worth(self, found: Round) -> Round:
-        """Remove survivors that were rejected before and now explain less."""
-
-        def is_open(tried: Tried) -> bool:
-            before = self._refused.get(tried.effect.identity)
-            return before is None or tried.gain > _STILL * before.gain
-
-        return replace(found, survivors=tuple(t for t in found.survivors if is_open(t)))
+    def is_open(self, tried: Tried) -> bool:
+        """Return whether a candidate was not refused before, or explains as much as it did then."""
+        before = self._refused.get(tried.effect.identity)
+        return before is None or tried.gain > _STILL * before.gain

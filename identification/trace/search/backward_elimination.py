@@ -1,4 +1,7 @@
-"""Remove effects by backward elimination: stand-ins, guesses, and effects made redundant."""
+"""Remove effects by backward elimination: stand-ins, guesses, and effects made redundant.
+
+An effect stays if the model, fitted again without it, loses what an effect must take to be added.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +13,12 @@ from numpy.typing import NDArray
 
 from ....model.effects.base import Placed
 from ..linearised.linearisation_point import WorkingPoint
-from .candidate_screening import LEAST, Round, Tried, is_internal, width
+from ..search_options import SearchOptions
 from .gauss_newton import NEARLY, Fitted, gather, refine
 from .regression import ColumnEvidence, cross_validated, steadied
+from .tested_candidate import Round, Tried, numbers
 
 Array = NDArray[np.float64]
-
-_STANDS_IN = 2e-3
-"""Of what was there for two that fitted alike to it, what the first may take beside the second and
-is only in its place: an equation that is right to a twentieth leaves as much."""
-_LED_ON = 0.1
-"""Of what an effect brought, as much as it may take along when it goes and has only led on."""
-_FOLLOWS = 0.03
-"""A name that takes less than this share of what is left where that is random has followed it."""
-_GUESS = 0.3
-"""A name that takes less than this share of what is left beside a free form was a guess."""
 
 
 def without_stand_in(
@@ -33,6 +27,7 @@ def without_stand_in(
     taken: Tried,
     rounds: Sequence[Round],
     records: Fitted,
+    options: SearchOptions,
 ) -> tuple[WorkingPoint, float, int | None]:
     """Remove an earlier effect that the new one replaces; return the point and the round.
 
@@ -47,37 +42,26 @@ def without_stand_in(
         others = tuple(p for p in point.placed if p.effect.identity not in both)
         if len(others) != len(point.placed) - 2:
             continue  # it has been given up since
-        placed = Placed(rival.effect, rival.shape, rival.amplitudes)
-        alone, left = refine(replace(point, placed=(*others, placed)), records, within=NEARLY)
-        if left - squares < max(_STANDS_IN * earlier.excess, LEAST):
+        alone, left = refine(replace(point, placed=(*others, rival.placed)), records, within=NEARLY)
+        if left - squares < max(options.another_law * earlier.excess, options.least_squares):
             return alone, left, number
     return point, squares, None
 
 
 def without_guide(
-    point: WorkingPoint, squares: float, before: float, records: Fitted
+    point: WorkingPoint, squares: float, before: float, records: Fitted, options: SearchOptions
 ) -> WorkingPoint | None:
     """Remove the last effect if it only served to find the others.
 
     A fit ends in the valley that it began in. Beside another effect what was found before may come
-    out of it, and then needs no other: nine tenths of what that brought, `before` less `squares`,
-    stay without it. None where they do not.
+    out of it, and then needs no other: without it less is lost than a name is worth of what was
+    there `before`, in squared errors above noise. None where it is not.
     """
     *others, _ = point.placed
     if not others:
         return None
     alone, left = refine(replace(point, placed=tuple(others)), records, within=NEARLY)
-    return alone if left - squares < _LED_ON * (before - squares) else None
-
-
-def followers(rounds: Sequence[Round]) -> frozenset[str]:
-    """Return effects, by identity, that explain so little that they may follow random forces.
-
-    What only the drives feel is held against what they measure, and that does not shake.
-    """
-    taken = ((r.taken, r.excess) for r in rounds if r.taken is not None)
-    little = (t.effect for t, excess in taken if t.gain < _FOLLOWS * excess)
-    return frozenset(effect.identity for effect in little if not is_internal(effect))
+    return alone if left - squares < options.least_gain * before else None
 
 
 def taken_instead(found: Round, identity: str) -> Round:
@@ -88,7 +72,7 @@ def taken_instead(found: Round, identity: str) -> Round:
     return replace(found, taken=rival, alternatives=(found.taken, *others))
 
 
-def without_guesses(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+def without_guesses(point: WorkingPoint, records: Fitted, options: SearchOptions) -> WorkingPoint:
     """Remove named effects that free-form forces make redundant."""
     named = [p.effect.identity for p in point.placed if p.effect.effect_class != "unknown"]
     best = gather(point, records.train(point))
@@ -96,18 +80,20 @@ def without_guesses(point: WorkingPoint, records: Fitted) -> WorkingPoint:
         others = tuple(p for p in point.placed if p.effect.identity != guess)
         fewer = replace(point, placed=others)
         fewer, squares = refine(fewer, records, within=NEARLY)
-        if squares - best.squares < max(_GUESS * best.excess, LEAST):
+        if squares - best.squares < max(
+            options.least_free_gain * best.excess, options.least_squares
+        ):
             point, best = fewer, gather(fewer, records.train(fewer))
     return point
 
 
-def without_idle(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+def without_idle(point: WorkingPoint, records: Fitted, options: SearchOptions) -> WorkingPoint:
     """Remove effects that later ones make redundant.
 
     One by one: two that stand in for each other are not both idle.
     """
     while len(point.placed) > 1:
-        fewer = _without_the_idlest(point, records)
+        fewer = _without_the_idlest(point, records, options)
         if fewer is None:
             break
         point = fewer
@@ -126,12 +112,12 @@ def removal_costs(point: WorkingPoint, train: ColumnEvidence) -> list[Array]:
     full = cross_validated(train, base)
     costs = []
     for p in point.placed:
-        own = set(range(at, at + width(p)))
+        own = set(range(at, at + numbers(p.effect)))
         # Without it its errors come back: what its own columns would have to explain again.
         back = _restored(train, p, sorted(own), len(p.amplitudes))
         kept = [c for c in base if c not in own]
         costs.append(cross_validated(back, kept) - full)
-        at += width(p)
+        at += numbers(p.effect)
     return costs
 
 
@@ -169,16 +155,18 @@ def columns_of(point: WorkingPoint, placed: Placed) -> list[int]:
     at = len(point.parameters.names)
     for p in point.placed:
         if p is placed:
-            return list(range(at, at + width(p)))
-        at += width(p)
+            return list(range(at, at + numbers(p.effect)))
+        at += numbers(p.effect)
     raise ValueError(f"expected an effect of the point, found {placed.effect.identity}")
 
 
-def _without_the_idlest(point: WorkingPoint, records: Fitted) -> WorkingPoint | None:
+def _without_the_idlest(
+    point: WorkingPoint, records: Fitted, options: SearchOptions
+) -> WorkingPoint | None:
     """Remove the least important effect and refit; None if all are important."""
     costs = brought(point, gather(point, records.train(point)))
     least = int(np.argmin(costs))
-    if costs[least] >= LEAST:
+    if costs[least] >= options.least_squares:
         return None
     others = point.placed[:least] + point.placed[least + 1 :]
     return refine(replace(point, placed=others), records, within=NEARLY)[0]

@@ -19,22 +19,20 @@ from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
+from ..search_options import SearchOptions
 from .backward_elimination import removal_costs
-from .candidate_screening import LEAST, Records, Round, Tried, asked_again
+from .candidate_screening import told_apart
 from .equivalent_candidates import equivalents
-from .fit_shortlisted_candidates import told_apart
 from .gauss_newton import FULLY, gather, refine
+from .predictive_criterion import tested
 from .regression import ColumnEvidence
 from .separable_least_squares import with_fitted_shapes
+from .tested_candidate import Records, Round, Tried, numbers
 
 Array = NDArray[np.float64]
 
-SURE = 3.0
-"""Standard errors of a sum over the blocks above which a difference is no chance."""
-_NOTHING, _ACCURATE = 1.0, 1e-5
-"""Squared errors that differ by less are the same: one number fits as much noise, and a column of a
-moving beam is accurate to some thousandths, its square to this share of what the effect takes."""
-_RESAMPLES = 200
+_NOTHING = 1.0
+"""Squared errors that differ by less are the same: one number fits as much noise."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,11 @@ class Member:
 
 
 def with_equals(
-    point: WorkingPoint, rounds: Sequence[Round], effects: Sequence[Effect], records: Records
+    point: WorkingPoint,
+    rounds: Sequence[Round],
+    effects: Sequence[Effect],
+    records: Records,
+    options: SearchOptions,
 ) -> tuple[WorkingPoint, tuple[Round, ...]]:
     """Return the point and the rounds, each accepted effect with those not told from it.
 
@@ -55,7 +57,7 @@ def with_equals(
     those of `effects` that are equivalent to it beside all others. Where a simpler effect is not
     told from an accepted one, it takes its place.
     """
-    checked, later = list(rounds), equivalents(point, effects, records)
+    checked, later = list(rounds), equivalents(point, effects, records, options)
     for number, one in enumerate(checked):
         taken = one.taken
         if taken is None or _placed(point, taken.effect) is None:
@@ -64,31 +66,35 @@ def with_equals(
         rivals = {t.effect.identity: t for t in both}
         if not rivals:
             continue
-        some = alike_along(point, taken.effect, tuple(rivals.values()), records)
-        equals = not_told_apart(in_place(point, taken, some, records))
+        some = alike_along(point, taken.effect, tuple(rivals.values()), records, options)
+        equals = not_told_apart(in_place(point, taken, some, records), options)
         if equals[0].tried.effect is not taken.effect:
-            taken = _in_its_place(equals[0], taken, records)
+            taken = _in_its_place(equals[0], taken, records, options)
         point = equals[0].point
         checked[number] = replace(
             one,
             taken=taken,
             alternatives=tuple(m.tried for m in equals[1:]),
-            shares=_shares([m.squares for m in equals]),
+            shares=_shares([m.squares for m in equals], options.resamples),
         )
     return point, tuple(checked)
 
 
-def _in_its_place(member: Member, taken: Tried, records: Records) -> Tried:
+def _in_its_place(member: Member, taken: Tried, records: Records, options: SearchOptions) -> Tried:
     """Return a member with the gain of the effect that it replaces, asked as that one was."""
     placed = _placed(member.point, member.tried.effect)
     assert placed is not None
     others = tuple(p for p in member.point.placed if p is not placed)
-    tried = replace(member.tried, gain=taken.gain, blocks=taken.blocks)
-    return asked_again(replace(member.point, placed=others), tried, placed, records)
+    tried = Tried(placed.effect, placed.shape, taken.gain, taken.blocks, placed.amplitudes)
+    return tested(replace(member.point, placed=others), [tried], records, options)[0]
 
 
 def alike_along(
-    point: WorkingPoint, effect: Effect, rivals: Sequence[Tried], records: Records
+    point: WorkingPoint,
+    effect: Effect,
+    rivals: Sequence[Tried],
+    records: Records,
+    options: SearchOptions,
 ) -> list[Tried]:
     """Return the rivals of an effect of the point that explain about as much in its place.
 
@@ -100,9 +106,9 @@ def alike_along(
     asked = [t for t in rivals if t.effect.identity not in there]
     if not asked:
         return []
-    start = Tried(own.effect, own.shape, 0.0, np.zeros(1), own.amplitudes, np.inf)
+    start = Tried(own.effect, own.shape, 0.0, np.zeros(1), own.amplitudes)
     itself, *others = with_fitted_shapes(point, [start, *asked], records, own)
-    return [t for t in others if not told_apart(t, itself)]
+    return [t for t in others if not told_apart(t, itself, options)]
 
 
 def in_place(
@@ -122,8 +128,7 @@ def in_place(
     for rival in rivals:
         if rival.effect.identity in others:
             continue
-        placed = Placed(rival.effect, rival.shape, rival.amplitudes)
-        instead = tuple(placed if p is own else p for p in point.placed)
+        instead = tuple(rival.placed if p is own else p for p in point.placed)
         try:
             fitted, _ = refine(replace(point, placed=instead), records, within=FULLY)
             squares = _squares(fitted, records)
@@ -136,40 +141,46 @@ def in_place(
     return members
 
 
-def not_told_apart(members: Sequence[Member]) -> list[Member]:
+def not_told_apart(members: Sequence[Member], options: SearchOptions) -> list[Member]:
     """Return the simplest member that is not surely worse than the best, then its equals.
 
-    Surely is by three standard errors of the sum of the differences over the blocks; a richer one
+    Surely is by some standard errors of the sum of the differences over the blocks; a richer one
     must also be better by what any effect must take. One that is richer at the same place and not
     surely better is no equal: it can do what the simpler one does, as a dead zone that is wider
     than all commands, and nothing asks for more.
     """
     best = min(members, key=lambda m: float(m.squares.sum()))
-    good = [m for m in members if not _worse(m.squares, best.squares, LEAST)]
-    chosen = min(good, key=lambda m: (_numbers(m.tried.effect), m is not members[0]))
-    same = max(_NOTHING, _ACCURATE * members[0].tried.gain)
+    good = [
+        m for m in members if not _worse(m.squares, best.squares, options.least_squares, options)
+    ]
+    chosen = min(good, key=lambda m: (numbers(m.tried.effect), m is not members[0]))
+    same = max(_NOTHING, options.inexact * members[0].tried.gain)
     equals = [
         m
         for m in members
-        if not _worse(m.squares, chosen.squares, same) and not _contains(m, chosen)
+        if not _worse(m.squares, chosen.squares, same, options) and not _contains(m, chosen)
     ]
     return [chosen, *(m for m in equals if m is not chosen)]
 
 
-def supports(point: WorkingPoint, train: ColumnEvidence) -> dict[str, float]:
+def supports(
+    point: WorkingPoint, train: ColumnEvidence, options: SearchOptions
+) -> dict[str, float]:
     """Return the share of resamples of the blocks that choose each effect, by identity.
 
-    A resample chooses an effect if what the blocks lose without it, the others refitted, is above
-    three standard errors.
+    A resample chooses an effect if what the blocks lose without it, the others refitted, is no
+    chance.
     """
     if not point.placed:
         return {}
     rng = np.random.default_rng(0)
     found = {}
     for placed, cost in zip(point.placed, removal_costs(point, train), strict=True):
-        some = cost[rng.integers(len(cost), size=(_RESAMPLES, len(cost)))]
+        some = cost[rng.integers(len(cost), size=(options.resamples, len(cost)))]
         error = some.std(axis=1) / np.sqrt(len(cost))
-        found[placed.effect.identity] = float(np.mean(some.mean(axis=1) > SURE * error))
+        found[placed.effect.identity] = float(
+            np.mean(some.mean(axis=1) > options.standard_errors * error)
+        )
     return found
 
 
@@ -179,16 +190,16 @@ def _squares(point: WorkingPoint, records: Records) -> Array:
     return left + records.noise_removed(point)
 
 
-def _worse(squares: Array, best: Array, nothing: float) -> bool:
+def _worse(squares: Array, best: Array, nothing: float, options: SearchOptions) -> bool:
     difference = squares - best
     error = float(difference.std()) * np.sqrt(len(difference))
-    return bool(difference.sum() > max(SURE * error, nothing))
+    return bool(difference.sum() > max(options.standard_errors * error, nothing))
 
 
-def _shares(squares: Sequence[Array]) -> tuple[float, ...]:
+def _shares(squares: Sequence[Array], resamples: int) -> tuple[float, ...]:
     """Return the share of resamples of the blocks in which each fit is best; equal ones share."""
     rng, blocks = np.random.default_rng(0), len(squares[0])
-    picks = rng.integers(blocks, size=(_RESAMPLES, blocks))
+    picks = rng.integers(blocks, size=(resamples, blocks))
     sums = np.array([one[picks].sum(axis=1) for one in squares])
     first = sums < sums.min(axis=0) + _NOTHING
     return tuple((first / first.sum(axis=0)).mean(axis=1).tolist())
@@ -196,11 +207,7 @@ def _shares(squares: Sequence[Array]) -> tuple[float, ...]:
 
 def _contains(member: Member, simpler: Member) -> bool:
     one, other = member.tried.effect, simpler.tried.effect
-    return set(one.where) == set(other.where) and _numbers(one) > _numbers(other)
-
-
-def _numbers(effect: Effect) -> int:
-    return len(effect.amplitudes) + len(effect.shape)
+    return set(one.where) == set(other.where) and numbers(one) > numbers(other)
 
 
 def _placed(point: WorkingPoint, effect: Effect) -> Placed | None:

@@ -14,12 +14,13 @@ import numpy as np
 
 from ....model.effects.base import Effect
 from ..linearised.linearisation_point import WorkingPoint
+from ..search_options import SearchOptions
 from .backward_elimination import columns_of, removal_costs, without_effect
-from .candidate_screening import Tried, regressed
-from .fit_shortlisted_candidates import MOST_EQUALS, told_apart
+from .candidate_screening import regressed, told_apart
 from .gauss_newton import Candidate, Fitted, gather
 from .prescreening import most_telling
 from .regression import gains_beside, steadied
+from .tested_candidate import Tried
 
 _HALF = 0.5
 """Who explains less than this share of what the effect does, in the records that tell most of it,
@@ -27,11 +28,11 @@ explains no more of it in all."""
 
 
 def equivalents(
-    point: WorkingPoint, effects: Sequence[Effect], records: Fitted
+    point: WorkingPoint, effects: Sequence[Effect], records: Fitted, options: SearchOptions
 ) -> dict[str, tuple[Tried, ...]]:
     """Return, by identity of each effect of the point, the candidates that may replace it.
 
-    The best come first, at most six. Only candidates without shape are asked, and no free form.
+    The best come first, a few. Only candidates without shape are asked, and no free form.
     """
     placed = {p.effect.identity for p in point.placed}
     asked: list[Candidate] = [
@@ -53,9 +54,9 @@ def equivalents(
         return {}
     found = {}
     for own, rivals in _instead(point, asked, records, None):
-        equal = [t for t in rivals if np.isfinite(t.gain) and not told_apart(t, own)]
+        equal = [t for t in rivals if np.isfinite(t.gain) and not told_apart(t, own, options)]
         equal.sort(key=lambda t: -t.gain)
-        found[own.effect.identity] = tuple(equal[:MOST_EQUALS])
+        found[own.effect.identity] = tuple(equal[: options.most_effects])
     return found
 
 
@@ -73,6 +74,9 @@ def _instead(
     costs = removal_costs(point, train)
     for p, cost in zip(point.placed, costs, strict=True):
         without = without_effect(steadied(train), columns_of(point, p), p.amplitudes)
-        own = Tried(p.effect, p.shape, float(cost.sum()), cost, p.amplitudes, np.inf)
-        gained = gains_beside(without)
-        yield own, [regressed(without, i, *asked[i], gain) for i, gain in enumerate(gained)]
+        own = Tried(p.effect, p.shape, float(cost.sum()), cost, p.amplitudes)
+        rivals = (
+            Tried(*asked[i], float(gain.sum()), gain, ())
+            for i, gain in enumerate(gains_beside(without))
+        )
+        yield own, [regressed(without, i, t)[0] for i, t in enumerate(rivals)]

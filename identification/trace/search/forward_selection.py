@@ -11,6 +11,7 @@ import numpy as np
 from ....model.effects.base import Effect
 from ....model.effects.friction import LAWS
 from ..linearised.linearisation_point import WorkingPoint
+from ..search_options import SearchOptions
 from .accepted_and_rejected_candidates import CandidateQueue
 from .backward_elimination import (
     brought,
@@ -19,45 +20,18 @@ from .backward_elimination import (
     without_idle,
     without_stand_in,
 )
-from .candidate_screening import (
-    ALONE,
-    AT_FIRST,
-    BEYOND_CHANCE,
-    DESCRIBES,
-    FRICTION,
-    LEAST,
-    HeldError,
-    Least,
-    Records,
-    Round,
-    Tried,
-    asked_again,
-    is_internal,
-    screened,
-)
-from .fit_shortlisted_candidates import sifted
+from .candidate_screening import screened
 from .friction_laws import best_laws
 from .gauss_newton import NEARLY, Candidate, gather, refine
-from .held_out_test import LOWERS, helps
 from .nonrigid_screening import asked_first, worth_columns
+from .predictive_criterion import HALF, Criterion, helps, is_worse, tested
 from .prescreening import shortlisted
 from .regression import ColumnEvidence
+from .tested_candidate import FRICTION, HeldError, Records, Round, Tried, is_internal
 
 Progress = Callable[[str, float], None]
 
-MUCH = 1.7
-"""Mean square errors of the free simulation, over what noise leaves, beyond which much is left that
-no name explains: 1.3 times the floor."""
 _TRUST = 1e3
-_MOST_REFUSED = 3
-_MOST_GUIDES = 2
-"""Effects that led others out of their valleys: each costs a round, and may come again."""
-_EXPLAINED = 1.06
-"""Mean square errors of the free simulation, over what noise leaves, at which a model explains the
-records: 1.03 times the floor. A force that only the drives feel does not show there."""
-_VISIBLE = 0.02
-"""Share of what noise leaves of the records fitted to that may be beyond it where the simulation of
-those held out is explained: more is of an effect that they do not show, or only one step ahead."""
 _CARRIERS = {"beam", "rotor"}
 """What comes between an effect and the platform is no place of the platform."""
 
@@ -69,10 +43,10 @@ class Grown(NamedTuple):
     error: HeldError
     rounds: tuple[Round, ...]
 
-    @property
-    def much_left(self) -> bool:
-        """Whether the held-out residual is large enough to search for more effects."""
-        return self.point.disturbance.measured and self.error.squares > MUCH * self.error.floor
+    def much_left(self, options: SearchOptions) -> bool:
+        """Return whether the held-out residual is large enough to search for more effects."""
+        much = options.much_left**2 * self.error.floor
+        return self.point.disturbance.measured and self.error.squares > much
 
 
 def grown(
@@ -82,6 +56,7 @@ def grown(
     enough: float,
     records: Records,
     progress: Progress,
+    options: SearchOptions,
 ) -> Grown:
     """Add effects while held-out records confirm them.
 
@@ -95,41 +70,42 @@ def grown(
     candidates = queue.candidates(effects)
     guides, most = 0, most + len(point.placed)
     while error.squares > enough * error.floor:
-        explained = point.disturbance.measured and error.squares < _EXPLAINED * error.floor
-        found, train = _screened(point, candidates, error, explained, rounds, records, progress)
-        found = queue.worth(found)
-        if not found.survivors or len(point.placed) >= most or queue.in_a_row >= _MOST_REFUSED:
-            rounds.append(found)
-            break
-        progress(f"fitting {', '.join(t.effect.name for t in found.survivors)}", share(len(rounds)))
-        found, begun_at = sifted(point, found, records)
+        near = error.squares < options.explained**2 * error.floor
+        explained = point.disturbance.measured and near
+        found, train, criterion = _screened(
+            point, candidates, explained, rounds, records, queue.is_open, progress, options
+        )
         taken = found.taken
-        assert taken is not None
+        if taken is None or len(point.placed) >= most or queue.in_a_row >= options.patience:
+            rounds.append(replace(found, taken=None, alternatives=()))
+            break
         progress(f"adding {taken.effect.name}", share(len(rounds)))
+        begun_at = replace(point, placed=(*point.placed, taken.placed))
         better, squares = refine(begun_at, records, within=NEARLY)
-        taken = asked_again(point, taken, better.placed[-1], records)
-        better, squares, stood_in = without_stand_in(better, squares, taken, rounds, records)
-        if stood_in is None and guides < _MOST_GUIDES:
-            alone = without_guide(better, squares, train.squares, records)
+        taken = _tested_again(point, taken.at(better.placed[-1]), records, options)
+        better, squares, stood_in = without_stand_in(
+            better, squares, taken, rounds, records, options
+        )
+        if stood_in is None and guides < options.patience:
+            alone = without_guide(better, squares, train.excess, records, options)
             after = error if alone is None else records.held_error(alone)
-            if alone is not None and after.squares < (1.0 - LOWERS) * error.squares:
+            if alone is not None and is_worse(error, after, options):
                 # Nothing is accepted; candidates that led here may be tested again.
                 point, error, guides = alone, after, guides + 1
                 rounds.append(replace(found, taken=None))
                 continue
         found = replace(found, taken=taken)
         if taken.effect.key in LAWS and stood_in is None:
-            found, better, squares = _of_best_law(point, found, better, effects, records)
+            found, better, squares = _of_best_law(point, found, better, effects, records, options)
             taken = found.taken or taken
         better = records.with_estimated_noise(
-            without_idle(_believing(better, squares, train), records)
+            without_idle(_believing(better, squares, train), records, options)
         )
         after = records.held_error(better)
-        gone = min((train.squares - squares) / max(train.excess, LEAST), 1.0)
-        enough_of_it = taken.effect.effect_class != "unknown" or gone > DESCRIBES
-        helped = enough_of_it and helps(taken, error, after, gone, explained)
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
-        if agree(taken) and stays and squares < train.squares and helped:
+        # What was foretold along the trajectories without it must come true.
+        comes_true = criterion.takes(replace(taken, gain=train.squares - squares))
+        if stays and comes_true and helps(taken, error, after, explained, options):
             point, error = better, after
             queue.take(taken, point.placed)
         else:
@@ -149,21 +125,24 @@ def _of_best_law(
     point: WorkingPoint,
     effects: Sequence[Effect],
     records: Records,
+    options: SearchOptions,
 ) -> tuple[Round, WorkingPoint, float]:
     """Return round, point and squared errors with the best friction law instead of the accepted.
 
     `before` is the point without it.
     """
     assert found.taken is not None
-    law, *others = best_laws(point, found.taken, effects, records)
-    taken = asked_again(before, law.tried, law.point.placed[-1], records)
+    law, *others = best_laws(point, found.taken, effects, records, options)
+    taken = _tested_again(before, law.tried.at(law.point.placed[-1]), records, options)
     found = replace(found, taken=taken, alternatives=tuple(m.tried for m in others))
     return found, law.point, float(law.squares.sum())
 
 
-def agree(tried: Tried) -> bool:
-    """Return whether held-out records confirm a fitted candidate."""
-    return tried.chance > (BEYOND_CHANCE if tried.held else ALONE)
+def _tested_again(
+    point: WorkingPoint, tried: Tried, records: Records, options: SearchOptions
+) -> Tried:
+    """Repeat the test of a candidate whose shape was fitted since."""
+    return tested(point, [tried], records, options)[0] if tried.shape else tried
 
 
 def share(rounds: int) -> float:
@@ -174,13 +153,14 @@ def share(rounds: int) -> float:
 def _screened(
     point: WorkingPoint,
     candidates: Sequence[Candidate],
-    error: HeldError,
     explained: bool,
     rounds: Sequence[Round],
     records: Records,
+    is_open: Callable[[Tried], bool],
     progress: Progress,
-) -> tuple[Round, ColumnEvidence]:
-    """Screen the candidates; return the round, and the residual of the training records.
+    options: SearchOptions,
+) -> tuple[Round, ColumnEvidence, Criterion]:
+    """Screen the candidates; return the round, the residual of the training records, and the rule.
 
     Where those held out are explained only the drives are asked, unless the others are not.
     """
@@ -189,21 +169,23 @@ def _screened(
     first, rest = asked_first(point, asked)
     if first:
         progress(f"screening {len(first)} candidates in the non-rigid readings", share(len(rounds)))
-        little_of_it = AT_FIRST * DESCRIBES * gather(point, records.train(point)).excess
+        little_of_it = HALF * options.least_free_gain * gather(point, records.train(point)).excess
         shown = records.shown(point, first)
-        asked = [*rest, *worth_columns(first, shown, records.sensor_shape, little_of_it)]
+        asked = [
+            *rest,
+            *worth_columns(first, shown, records.sensor_shape, little_of_it, options.shortlisted),
+        ]
     progress(f"screening {len(asked)} candidates", share(len(rounds)))
-    asked = shortlisted(point, asked, records)
+    asked = shortlisted(point, asked, records, options)
     train = gather(point, records.train(point, asked))
-    visible = _VISIBLE * float(train.count.sum()) if explained else 0.0
+    visible = options.visible * float(train.count.sum()) if explained else 0.0
     if explained and train.excess > visible:
         progress(f"screening {len(candidates)} candidates", share(len(rounds)))
-        asked = shortlisted(point, candidates, records)
+        asked = shortlisted(point, candidates, records, options)
         train = gather(point, records.train(point, asked))
     before = rounds[0].excess - train.excess if rounds else 0.0
-    little = error.squares < MUCH * error.floor
-    least = Least(train.excess, before, little, visible, _rubbed(point, train))
-    return screened(point, asked, train, records, least), train
+    criterion = Criterion(options, train.excess, before, visible, _rubbed(point, train))
+    return screened(point, asked, train, records, criterion, is_open), train, criterion
 
 
 def _rubbed(point: WorkingPoint, train: ColumnEvidence) -> dict[str, float]:

@@ -14,15 +14,21 @@ import numpy as np
 from ....model.effects.base import Effect, Placed
 from ....model.effects.friction import LAWS
 from ..linearised.linearisation_point import WorkingPoint
+from ..search_options import SearchOptions
 from .backward_elimination import columns_of, without_effect
-from .candidate_screening import Records, Tried, regressed
+from .candidate_screening import regressed
 from .effects_not_told_apart import Member, alike_along, in_place, not_told_apart
 from .gauss_newton import Candidate, Fitted, gather
 from .regression import gains_beside, steadied
+from .tested_candidate import Records, Tried
 
 
 def best_laws(
-    point: WorkingPoint, taken: Tried, effects: Sequence[Effect], records: Records
+    point: WorkingPoint,
+    taken: Tried,
+    effects: Sequence[Effect],
+    records: Records,
+    options: SearchOptions,
 ) -> list[Member]:
     """Return the law of friction that fits best in the place of an accepted one.
 
@@ -34,8 +40,8 @@ def best_laws(
     if own.key not in LAWS or not laws:
         return in_place(point, taken, (), records)
     placed = next(p for p in point.placed if p.effect.identity == own.identity)
-    rivals = alike_along(point, own, _at_grid(point, placed, laws, records), records)
-    return not_told_apart(in_place(point, taken, rivals, records))
+    rivals = alike_along(point, own, _at_grid(point, placed, laws, records), records, options)
+    return not_told_apart(in_place(point, taken, rivals, records), options)
 
 
 def _at_grid(
@@ -51,5 +57,5 @@ def _at_grid(
         before = best.get(effect.identity)
         if not np.isfinite(gain) or (before is not None and before.gain >= gain):
             continue
-        best[effect.identity] = regressed(train, i, effect, shape, blocks)
+        best[effect.identity] = regressed(train, i, Tried(effect, shape, gain, blocks, ()))[0]
     return list(best.values())

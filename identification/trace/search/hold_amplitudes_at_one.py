@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from ....model.effects.base import Placed
 from ..linearised.linearisation_point import WorkingPoint
-from .candidate_screening import LEAST
+from ..search_options import SearchOptions
 from .gauss_newton import FULLY, Fitted, gather, refine
 
 
-def with_plain_amplitudes(point: WorkingPoint, records: Fitted) -> WorkingPoint:
+def with_plain_amplitudes(
+    point: WorkingPoint, records: Fitted, options: SearchOptions
+) -> WorkingPoint:
     """Fix unnecessary amplitudes at one and refit; return the point.
 
     Regression asks of everything how much of it there is. Of a saturation there is all: how deep it
@@ -28,7 +30,7 @@ def with_plain_amplitudes(point: WorkingPoint, records: Fitted) -> WorkingPoint:
             squares = gather(point, records.train(point)).squares
         held = (*point.placed[:i], _held(placed), *point.placed[i + 1 :])
         fitted, left = refine(replace(point, placed=held), records, within=FULLY)
-        if left - squares < LEAST:
+        if left - squares < options.least_squares:
             point, squares = fitted, left
     return point
 

@@ -23,12 +23,9 @@ from .regression import ColumnEvidence, gains
 
 Array = NDArray[np.float64]
 
-_SHARE = 0.4
+_SHARE = 0.5
 """Of what is expected there of a candidate that takes enough, as much has to be there: beside an
 effect that comes later it may be more."""
-_MOST = 60
-"""Forms that are asked whole: more than are ranked in the end. What is shown beyond the pose is
-nearly all that there is of a false reading, and in about the same order."""
 
 
 def asked_first(
@@ -76,11 +73,16 @@ def shown_beyond(
 
 
 def worth_columns(
-    candidates: Sequence[Candidate], shown: Sequence[Linearised], sensor_shape: Array, least: float
+    candidates: Sequence[Candidate],
+    shown: Sequence[Linearised],
+    sensor_shape: Array,
+    least: float,
+    most: int,
 ) -> list[Candidate]:
     """Return the best candidates that may explain `least` squared errors, by the pre-screening.
 
-    Of a false reading that share is expected there which the sensor has outside the pose.
+    They are `most` at most. Of a false reading that share is expected there which the sensor has
+    outside the pose; that is nearly all that there is of it, and in about the same order.
     """
     outside = (redundancy_basis(sensor_shape) ** 2).sum(axis=1)
     gained = [float(gain.sum()) for gain in gains(ColumnEvidence.gather(shown, np.zeros((0, 1))))]
@@ -90,7 +92,7 @@ def worth_columns(
         if not gained[i] < _SHARE * outside[_sensor(effect)] * least
     ]
     enough.sort(key=lambda i: -gained[i])
-    best = list(dict.fromkeys(candidates[i][0].identity for i in enough))[:_MOST]
+    best = list(dict.fromkeys(candidates[i][0].identity for i in enough))[:most]
     return [candidates[i] for i in sorted(enough) if candidates[i][0].identity in best]
 
 

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..linearised.linearisation_point import WorkingPoint
-from .candidate_screening import is_internal
+from ..search_options import SearchOptions
 from .gauss_newton import Candidate, Fitted, gather
 from .regression import FOLDS, ColumnEvidence, gains
+from .tested_candidate import is_internal
 
 Array = NDArray[np.float64]
 
@@ -23,12 +24,13 @@ _PART = 1.0 / 3.0
 """Of the time of all records, as much is asked first."""
 _SHAPE = 0.5
 """Shapes that explain less than this share of what the best one of an effect does are left out."""
-MOST = 60
-"""Candidates that all records are asked about: more than are ranked in the end."""
 
 
 def shortlisted(
-    point: WorkingPoint, candidates: Sequence[Candidate], records: Fitted
+    point: WorkingPoint,
+    candidates: Sequence[Candidate],
+    records: Fitted,
+    options: SearchOptions,
 ) -> list[Candidate]:
     """Return the candidates that explain most of some records, in their order.
 
@@ -36,14 +38,16 @@ def shortlisted(
     drives only is among them: what these measure is no error of the platform, by which the records
     are chosen.
     """
-    if len({e.identity for e, _ in candidates}) <= MOST:
+    if len({e.identity for e, _ in candidates}) <= options.shortlisted:
         return list(candidates)
     chosen = [c for c in candidates if not is_internal(c[0])]
-    best = {id(c) for c in _best(point, chosen, records)}
+    best = {id(c) for c in _best(point, chosen, records, options.shortlisted)}
     return [c for c in candidates if is_internal(c[0]) or id(c) in best]
 
 
-def _best(point: WorkingPoint, candidates: Sequence[Candidate], records: Fitted) -> list[Candidate]:
+def _best(
+    point: WorkingPoint, candidates: Sequence[Candidate], records: Fitted, count: int
+) -> list[Candidate]:
     train = gather(point, records.train(point))
     only = most_telling(train, train.gram[:, -1, -1] - train.count)
     if not only:
@@ -55,7 +59,7 @@ def _best(point: WorkingPoint, candidates: Sequence[Candidate], records: Fitted)
     most: dict[str, float] = {}
     for i in finite:
         most.setdefault(candidates[i][0].identity, gained[i])
-    best = dict(list(most.items())[:MOST])
+    best = dict(list(most.items())[:count])
     return [
         c
         for c, gain in zip(candidates, gained, strict=True)

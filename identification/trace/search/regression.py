@@ -221,26 +221,33 @@ def standard_errors(evidence: ColumnEvidence, columns: Indices) -> Array:
     return np.asarray(np.sqrt(np.maximum(common, own)) / evidence.size[pick])
 
 
-def chance(evidence: ColumnEvidence, base: Indices, group: Indices, coefficients: Array) -> float:
-    """Return the agreement of a prediction with these errors, in standard deviations of chance.
+class Foretold(NamedTuple):
+    """What a prediction of errors says, over the standard deviation of chance.
+
+    statistic: its agreement with the errors; a standard normal number if it predicts nothing.
+    expected: what that is for a right prediction. One that agrees by more than half of it lowers
+    the squared errors.
+    """
+
+    statistic: float
+    expected: float
+
+
+def foretold(
+    evidence: ColumnEvidence, base: Indices, group: Indices, coefficients: Array
+) -> Foretold:
+    """Return how a prediction agrees with these errors, in standard deviations of chance.
 
     `coefficients` of [base, group] come from other records. What the group predicts, freed of what
-    the base could do as well here, is correlated with the errors; if it predicts nothing that is a
-    standard normal number. Errors larger than noise make it smaller: each block's by its own, and
-    all by how much what blocks say scatters.
+    the base could do as well here, is correlated with the errors. Errors larger than noise make
+    chance larger: each block's by its own, and all by how much what blocks say scatters.
     """
     b = np.asarray(coefficients)[len(list(base)) :]
     return _beyond(_agreement(evidence.gram, base, group, b), evidence.count)
 
 
-def expected(evidence: ColumnEvidence, base: Indices, group: Indices, coefficients: Array) -> float:
-    """Return the expected `chance` for a correct prediction plus noise."""
-    b = np.asarray(coefficients)[len(list(base)) :]
-    return float(np.sqrt(_agreement(evidence.gram, base, group, b).predicted.sum()))
-
-
-def chance_between(evidence: ColumnEvidence, base: Indices, group: Indices) -> float:
-    """Return `chance` by cross-validation: each fold is predicted from the others.
+def foretold_between(evidence: ColumnEvidence, base: Indices, group: Indices) -> Foretold:
+    """Return `foretold` by cross-validation: each fold is predicted from the others.
 
     Two folds predict each other, so that noise alone gives twice the variance.
     """
@@ -286,8 +293,8 @@ def _agreement(grams: Array, base: Indices, group: Indices, b: Array) -> _Agreem
     )
 
 
-def _beyond(agreement: _Agreement, count: Array) -> float:
-    """Return the sum of with_errors over its standard deviation under the null hypothesis.
+def _beyond(agreement: _Agreement, count: Array) -> Foretold:
+    """Return the sums of with_errors and of predicted over the standard deviation of chance.
 
     The larger of two: errors that are white in a block, of its own mean square, but no less than
     noise; and blocks that have nothing to do with each other, whatever is in them.
@@ -295,8 +302,9 @@ def _beyond(agreement: _Agreement, count: Array) -> float:
     with_errors, predicted, left = agreement
     whole, blocks = float(predicted.sum()), len(predicted)
     if whole <= 0.0:
-        return 0.0
+        return Foretold(0.0, 0.0)
     white = float(predicted @ np.maximum(left / np.maximum(count, 1.0), 1.0))
     scatter = with_errors - predicted * (float(with_errors.sum()) / whole)
     apart = float(scatter @ scatter) * blocks / max(blocks - 1, 1)
-    return float(with_errors.sum() / np.sqrt(max(white, apart)))
+    chance = np.sqrt(max(white, apart))
+    return Foretold(float(with_errors.sum() / chance), whole / float(chance))

@@ -11,28 +11,31 @@ from ....model.declared_model import ModelError
 from ....model.effects.base import Effect
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
-from .candidate_screening import Records, Round, Tried, asked_again
-from .fit_shortlisted_candidates import with_tried
-from .forward_selection import Grown, Progress, agree, grown, share
+from ..search_options import SearchOptions
+from .forward_selection import Grown, Progress, grown, share
 from .gauss_newton import NEARLY, refine
+from .predictive_criterion import confirmed, tested
+from .tested_candidate import Records, Round, Tried
 
-_NARROWLY = 0.8
-"""Of what was taken gained, as much as a rival has to gain to be tried in its place."""
 _HALF = 0.5
-"""Of what is left, as much as may stay of it where another way is right."""
-_MOST_WAYS = 3
-"""Each costs as much as the search from there on."""
+"""Of what was taken gained, as much as a rival has to gain to be tried in its place; and of what is
+left, as much as may stay of it where another way is right."""
 
 
 def otherwise(
-    found: Grown, effects: Sequence[Effect], most: int, records: Records, progress: Progress
+    found: Grown,
+    effects: Sequence[Effect],
+    most: int,
+    records: Records,
+    progress: Progress,
+    options: SearchOptions,
 ) -> Grown:
     """Return a better result with one accepted effect replaced by a rival, else the given one.
 
     Effects are taken one by one, and what looks most like two of them together bars the way to
     both: of drag that grows with the square of the speed and dry friction it is a linear damper.
     Or what is right has a longer way to its best shape than it was given beside the others.
-    So where much is left, those that were beaten narrowly are put in the place of what was taken,
+    So where much is left, those that explained half as much are put in the place of what was taken,
     last ones first, and the search goes on from there, to at most `most` effects more. A way counts
     if it leaves half of what is left, and of those the one that leaves least.
     """
@@ -43,25 +46,27 @@ def otherwise(
         for rival in _rivals(one, found.point)
     ]
     best, least = found, _HALF * (found.error.squares - found.error.floor)
-    for number, rival in ways[:_MOST_WAYS]:
+    for number, rival in ways[: options.patience]:
         at = share(len(found.rounds))
         progress(f"trying {rival.effect.name} instead", at)
         try:
-            begun = _instead(found, number, rival, records)
+            begun = _instead(found, number, rival, records, options)
             if begun is None:
                 continue
-            way = grown(begun, effects, most, 0.0, records, _staying(progress, at))
+            way = grown(begun, effects, most, 0.0, records, _staying(progress, at), options)
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
             continue  # it leads nowhere, and what was found stays
         left = way.error.squares - way.error.floor
         if left < least:
             best, least = way, left
-        if not best.much_left:
+        if not best.much_left(options):
             break
     return best
 
 
-def _instead(found: Grown, number: int, rival: Tried, records: Records) -> Grown | None:
+def _instead(
+    found: Grown, number: int, rival: Tried, records: Records, options: SearchOptions
+) -> Grown | None:
     """Replace the accepted effect of a round by a rival.
 
     None where that runs away, or held-out records do not agree with the rival as it then fits.
@@ -72,10 +77,11 @@ def _instead(found: Grown, number: int, rival: Tried, records: Records) -> Grown
     given_up = earlier.taken.effect.identity
     others = tuple(p for p in found.point.placed if p.effect.identity != given_up)
     without = replace(found.point, placed=others)
-    point, _ = refine(with_tried(without, rival), records, within=NEARLY)
-    rival = asked_again(without, rival, point.placed[-1], records)
+    begun = replace(without, placed=(*others, rival.placed))
+    point, _ = refine(begun, records, within=NEARLY)
+    rival = tested(without, [rival.at(point.placed[-1])], records, options)[0]
     error = records.held_error(point)
-    if not np.isfinite(error.squares) or not agree(rival):
+    if not np.isfinite(error.squares) or not confirmed(rival.agreement, options):
         return None
     taken = replace(earlier, taken=rival, alternatives=(), instead_of=earlier.taken.effect)
     rounds = [taken if r is earlier else r for r in found.rounds if r.taken is not None]
@@ -89,9 +95,7 @@ def _rivals(found: Round, point: WorkingPoint) -> list[Tried]:
     if taken is None or taken.effect.identity not in there:
         return []
     return [
-        t
-        for t in found.survivors
-        if t.effect.identity not in there and t.gain > _NARROWLY * taken.gain and agree(t)
+        t for t in found.survivors if t.effect.identity not in there and t.gain > _HALF * taken.gain
     ]
 
 

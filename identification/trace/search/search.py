@@ -11,20 +11,18 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
-from .backward_elimination import followers, without_guesses, without_idle
-from .candidate_screening import Records, Round
+from ..search_options import SearchOptions
+from .backward_elimination import without_guesses, without_idle
 from .effects_not_told_apart import supports, with_equals
-from .forward_selection import MUCH, Grown, Progress, grown
+from .forward_selection import Grown, Progress, grown
 from .gauss_newton import FULLY, gather, refine
-from .held_out_test import LOWERS
 from .hold_amplitudes_at_one import free_numbers, with_plain_amplitudes
+from .predictive_criterion import is_worse
 from .regression import ColumnEvidence, standard_errors
 from .replace_effect_by_rival import otherwise
+from .tested_candidate import Records, Round
 
 Array = NDArray[np.float64]
-
-_MOST_EFFECTS = 6
-_MOST_UNKNOWN = 4
 
 
 @dataclass(frozen=True)
@@ -32,8 +30,7 @@ class Found:
     """The final working point, the rounds, and the residuals of training and held-out records.
 
     errors: standard errors of [the model's parameters over scale, amplitudes and shapes]; nan of
-    what is held. idle: by identity, names that had followed what is random, and were dropped.
-    supports: by identity, share of resamples of the blocks that choose an effect.
+    what is held. supports: by identity, share of resamples of the blocks that choose an effect.
     """
 
     point: WorkingPoint
@@ -41,7 +38,6 @@ class Found:
     errors: Array
     train: ColumnEvidence
     held: ColumnEvidence
-    idle: frozenset[str] = frozenset()
     supports: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -51,6 +47,7 @@ def search(
     unknown: Sequence[Effect],
     records: Records,
     progress: Progress,
+    options: SearchOptions,
 ) -> Found:
     """Search for effects by forward selection, with confirmation on held-out records.
 
@@ -65,53 +62,48 @@ def search(
             "trace an unstable plant in closed loop"
         )
     begun = Grown(point, error, ())
-    found = grown(begun, effects, _MOST_EFFECTS, 0.0, records, progress)
-    if found.much_left:
-        more = _MOST_EFFECTS - len(found.point.placed) + len(point.placed)
-        found = otherwise(found, effects, more, records, progress)
-    if found.much_left:
+    found = grown(begun, effects, options.most_effects, 0.0, records, progress, options)
+    if found.much_left(options):
+        more = options.most_effects - len(found.point.placed) + len(point.placed)
+        found = otherwise(found, effects, more, records, progress, options)
+    if found.much_left(options):
         described = grown(
-            found._replace(rounds=()), unknown, _MOST_UNKNOWN, MUCH, records, progress
+            found._replace(rounds=()),
+            unknown,
+            options.most_effects,
+            options.much_left**2,
+            records,
+            progress,
+            options,
         )
         rounds = (*found.rounds, *described.rounds)
         found = found._replace(rounds=rounds)
         if described.point is not found.point:
-            point = without_guesses(described.point, records)
+            point = without_guesses(described.point, records, options)
             found = Grown(point, records.held_error(point), rounds)
-    return _settled(found, effects, records)
+    return _settled(found, effects, records, options)
 
 
-def without_followers(found: Found, records: Records) -> Found:
-    """Remove named effects that may follow a random force.
-
-    Chance is that of errors that are white, and a force with no phase in a band is none: the best
-    of a table takes something of it, and held-out records agree by chance of their own.
-    """
-    idle = followers(found.rounds)
-    placed = tuple(p for p in found.point.placed if p.effect.identity not in idle)
-    if len(placed) == len(found.point.placed):
-        return found
-    fewer = replace(found.point, placed=placed)
-    settled = _settled(Grown(fewer, records.held_error(fewer), found.rounds), (), records)
-    return replace(settled, idle=idle)
-
-
-def _settled(reached: Grown, effects: Sequence[Effect], records: Records) -> Found:
+def _settled(
+    reached: Grown, effects: Sequence[Effect], records: Records, options: SearchOptions
+) -> Found:
     """Fit the point to convergence, and return it with its residuals."""
     point, error, rounds = reached
     # What was fitted last was so while it was not known whether more would come.
     fitted, _ = refine(point, records, within=FULLY)
-    if records.held_error(fitted).squares < (1.0 + LOWERS) * error.squares:
+    if not is_worse(records.held_error(fitted), error, options):
         point = fitted
-    plain = with_plain_amplitudes(point, records)
-    if plain is not point and records.held_error(plain).squares < (1.0 + LOWERS) * error.squares:
+    plain = with_plain_amplitudes(point, records, options)
+    if plain is not point and not is_worse(records.held_error(plain), error, options):
         point = plain
-    point, rounds = with_equals(without_idle(point, records), rounds, effects, records)
+    point, rounds = with_equals(
+        without_idle(point, records, options), rounds, effects, records, options
+    )
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
     free = free_numbers(point)
     errors = np.full(len(free), np.nan)
     errors[free] = standard_errors(train, np.flatnonzero(free))
-    chosen = supports(point, train)
+    chosen = supports(point, train, options)
     return Found(_with_errors(point, errors), rounds, errors, train, held, supports=chosen)
 
 

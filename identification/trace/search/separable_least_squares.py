@@ -3,8 +3,10 @@
 The errors are linear in the parameters of the model and in a candidate's amplitudes, and nonlinear
 in its shape only (separable least squares: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413).
 At each trial shape the linear numbers are regressed, and a Gauss-Newton step for the shape follows
-from the columns of the shape's derivatives beside those of the amplitudes. The columns of the model
-are those of the point, so that a step costs the columns of the candidates alone.
+from the columns of the shape's derivatives beside those of the amplitudes. Each amplitude has its
+own derivatives, so that they are right for the amplitudes that the regression finds: the phase of a
+line turns with its frequency. The columns of the model are those of the point, so that a step costs
+the columns of the candidates alone.
 """
 
 from __future__ import annotations
@@ -22,9 +24,16 @@ from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
 from ..linearised.linearise_prediction_errors import effect_terms
 from .backward_elimination import columns_of, without_effect
-from .candidate_screening import Tried
 from .gauss_newton import ROUGHLY, Candidate, Fitted, gather, leash
-from .regression import ColumnEvidence, gains_beside, remaining, solve, steadied
+from .regression import (
+    ColumnEvidence,
+    cross_validated,
+    gains_beside,
+    remaining,
+    solve,
+    steadied,
+)
+from .tested_candidate import Tried
 
 Array = NDArray[np.float64]
 
@@ -80,17 +89,15 @@ class _Fit:
     def __init__(self, tried: Tried) -> None:
         self.best, self.shape, self.ended = tried, tried.shape, False
         self._squares, self._damping = np.inf, 0.0
-        self._asked = tried.amplitudes
         self._joined: _Joined | None = None
 
     def asked(self) -> Candidate:
         """Return the candidate at the shape to try, with the columns of the shape's derivatives."""
-        self._asked = self.best.amplitudes
-        return _tangent(Placed(self.best.effect, self.shape, self._asked)), self.shape
+        return _tangent(self.best.effect), self.shape
 
     def told(self, train: ColumnEvidence, number: int) -> None:
         """Take what candidate `number` of the evidence says of the shape; find the next one."""
-        there = _Joined.of(train, number, self.best, self._asked)
+        there = _Joined.of(train, number, self.best.effect)
         if self._joined is None and not np.isfinite(there.squares):
             self.best, self.ended = replace(self.best, gain=-np.inf), True
             return
@@ -122,10 +129,9 @@ class _Fit:
 class _Joined:
     """What the blocks say at one shape of a candidate.
 
-    gram (Q, Q): of all blocks, of [base, amplitudes, derivatives by the shape, errors]. gain (B,):
-    what its amplitudes take of the cross-validated squared errors. amplitudes: regressed, within
-    their bounds. squares: what is left with them. ratio: of one amplitude to that which the
-    derivatives are of; 1 for several amplitudes.
+    gram (Q, Q): of all blocks, of [base, amplitudes, derivatives by the shape, errors], in units of
+    size (Q,). gain (B,): what its amplitudes take of the cross-validated squared errors.
+    amplitudes: regressed, within their bounds. squares: what is left with them.
     """
 
     gram: Array
@@ -133,28 +139,27 @@ class _Joined:
     gain: Array
     squares: float
     amplitudes: tuple[float, ...]
-    ratio: float
 
     @classmethod
-    def of(
-        cls, train: ColumnEvidence, number: int, tried: Tried, asked: tuple[float, ...]
-    ) -> _Joined:
+    def of(cls, train: ColumnEvidence, number: int, effect: Effect) -> _Joined:
         """Return it for candidate `number` of the evidence."""
         joined, own = train.joined(number), len(train.size) - 1
-        count = len(tried.amplitudes)
+        count = len(effect.amplitudes)
         plain = _without_shape(train, number, count)
         columns = list(range(own + count))
-        low = np.array([q.low for q in tried.effect.amplitudes])
-        high = np.array([q.high for q in tried.effect.amplitudes])
+        low = np.array([q.low for q in effect.amplitudes])
+        high = np.array([q.high for q in effect.amplitudes])
         found = solve(joined.whole, columns)
         sizes = joined.size[own : own + count]
-        amplitudes = np.clip(found[own:] / sizes, low, high)
+        regressed = found[own:] / sizes
+        amplitudes = np.clip(regressed, low, high)
         found = _beside(joined.whole, own, amplitudes * sizes)
         squares = float(remaining(joined.whole[None], columns, found)[0])
-        gain = gains_beside(plain)[0]
-        ratio = amplitudes[0] / asked[0] if count == 1 and asked[0] else 1.0
-        given = tuple(amplitudes.tolist())
-        return cls(joined.whole, joined.size, gain, squares, given, float(ratio))
+        inside = bool(np.all(amplitudes == regressed))
+        gain = gains_beside(plain)[0] if inside else _gain_of(plain, amplitudes)
+        take = _along(amplitudes, len(effect.shape), own, joined.size)
+        size = np.concatenate([joined.size[: own + count], np.ones(len(effect.shape) + 1)])
+        return cls(take.T @ joined.whole @ take, size, gain, squares, tuple(amplitudes.tolist()))
 
     def step(self, tried: Tried, damping: float) -> tuple[Array, float]:
         """Return the step of the shape, and the squared errors that it promises to take.
@@ -187,21 +192,37 @@ class _Joined:
         rest = np.zeros_like(move)
         rest[plain] = solve(errors, plain)
         promised += float(rest @ (2.0 * errors[:-1, -1] + errors[:-1, :-1] @ rest))
-        return move[shape] / (self.size[shape] * (self.ratio or 1.0)), promised
+        return move[shape] / self.size[shape], promised
 
 
-def _tangent(placed: Placed) -> Effect:
-    """Return an effect with the columns of the shape's derivatives behind those of amplitudes."""
-    effect = placed.effect
-    return replace(
-        effect,
-        amplitudes=(*effect.amplitudes, *effect.shape),
-        build=partial(_tangent_terms, placed=placed),
-    )
+def _tangent(effect: Effect) -> Effect:
+    """Return an effect with the shape's derivatives of each amplitude behind the amplitudes."""
+    quantities = (*effect.amplitudes, *effect.shape * len(effect.amplitudes))
+    return replace(effect, amplitudes=quantities, build=partial(_tangent_terms, effect=effect))
 
 
-def _tangent_terms(signals: Signals, _shape: Sequence[float], *, placed: Placed) -> list[Term]:
-    return effect_terms(placed, signals)
+def _tangent_terms(signals: Signals, shape: Sequence[float], *, effect: Effect) -> list[Term]:
+    terms = list(effect.build(signals, shape))
+    if effect.shape:
+        for one in np.eye(len(terms)):
+            terms += effect_terms(Placed(effect, tuple(shape), tuple(one)), signals)[len(one) :]
+    return terms
+
+
+def _along(amplitudes: Array, shapes: int, own: int, size: Array) -> Array:
+    """Return the matrix that adds up the derivatives (of each amplitude) of a shape.
+
+    It goes from the columns of `_tangent` behind `own` others, in units of `size`, to those of
+    [base, amplitudes, derivatives by the shape, errors].
+    """
+    first = own + len(amplitudes)
+    take = np.zeros((len(size), first + shapes + 1))
+    take[:first, :first] = np.eye(first)
+    take[-1, -1] = 1.0
+    for i, value in enumerate(amplitudes):
+        rows = first + i * shapes + np.arange(shapes)
+        take[rows, first + np.arange(shapes)] = value * size[rows]
+    return take
 
 
 def _without_shape(train: ColumnEvidence, number: int, amplitudes: int) -> ColumnEvidence:
@@ -214,6 +235,15 @@ def _without_shape(train: ColumnEvidence, number: int, amplitudes: int) -> Colum
         size=b.size[:amplitudes],
     )
     return replace(train, beside=(few,))
+
+
+def _gain_of(plain: ColumnEvidence, amplitudes: Array) -> Array:
+    """Return what the one candidate takes of each block (B,) with given amplitudes."""
+    joined, own = plain.joined(0), len(plain.size) - 1
+    columns = own + np.arange(len(amplitudes))
+    base = list(range(own))
+    there = without_effect(joined, columns.tolist(), (-amplitudes).tolist())
+    return cross_validated(plain, base) - cross_validated(there, base)
 
 
 def _with_amplitudes(gram: Array, first: int, amplitudes: Array) -> Array:

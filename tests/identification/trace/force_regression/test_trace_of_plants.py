@@ -19,11 +19,11 @@ from levid.identification.trace.force_regression.force_trace_summary import (
     model_with_effects,
 )
 from levid.identification.trace.force_regression.search import Searched
-from levid.identification.trace.force_regression.search_options import SearchOptions
 from levid.identification.trace.force_regression.simpler_laws import with_simpler_laws
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
 from levid.identification.trace.force_regression.training_records import Training
 from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Effect, Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent

@@ -9,11 +9,13 @@ import pytest
 from effect_test_helpers import rig_places
 
 from levid.identification.trace.search import backward_elimination
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.operating_range import Extent
 
+OPTIONS = SearchOptions()
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 FORM = freeform_effects(rig_places(), Extent.typical(rig_places()))[0]
 WORTH = {"coil_gain@coil:1": 1e6, "coil_gain@coil:2": 0.0, "coil_gain@coil:3": 0.0}
@@ -46,5 +48,7 @@ def test_each_redundant_effect_is_removed(order, monkeypatch: pytest.MonkeyPatch
     names = [f"coil_gain@coil:{i}" for i in order]
     effects = [*(NAMED[name] for name in names), FORM]
     point = Point(tuple(Placed(e, (), (1.0,) * len(e.amplitudes)) for e in effects))
-    reduced = backward_elimination.without_guesses(point, SimpleNamespace(train=lambda _: ()))
+    reduced = backward_elimination.without_guesses(
+        point, SimpleNamespace(train=lambda _: ()), OPTIONS
+    )
     assert [p.effect.identity for p in reduced.placed] == ["coil_gain@coil:1", FORM.identity]

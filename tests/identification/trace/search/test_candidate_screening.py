@@ -1,7 +1,8 @@
-"""Test the screening of candidates: agreement of held-out records, thresholds to be fitted."""
+"""Test the screening: candidates are fitted in batches, the best of those taken wins."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -9,110 +10,120 @@ import numpy as np
 import pytest
 from effect_test_helpers import rig_places
 
-from levid.identification.trace.search import candidate_screening
+from levid.identification.trace.search import candidate_screening as screening
+from levid.identification.trace.search.predictive_criterion import Criterion
+from levid.identification.trace.search.tested_candidate import Agreement, Round, Tried
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.operating_range import Extent
 
+OPTIONS = SearchOptions()
 NAMED = {e.identity: e for e in all_effects(rig_places())}
+COIL_6, COIL_0, SATURATION = "coil_gain@coil:6", "coil_gain@coil:0", "saturation@coil:6"
+SURELY, HARDLY = Agreement(50.0, 50.0, 50.0, True), Agreement(3.0, 1.0, 1.0, False)
+FIT_TAKES = 340.0
+
+Screen = Callable[..., Round]
 
 
-@pytest.mark.parametrize(
-    ("blocks", "expected_statistic", "held_out_statistic", "between_blocks", "evidence"),
-    [
-        (20, 2.0, 1.0, 25.0, (25.0, False)),  # no effect in held-out records
-        (20, 4.5, 4.5, 100.0, (100.0, False)),  # too small in them to reach a statistic of six
-        (20, 4.5, 1.0, 100.0, (1.0, True)),  # less than expected: they contradict
-        (20, 4.5, 4.5, 15.0, (4.5, True)),  # the fitted records are uncertain
-        (20, 4.5, 6.5, 100.0, (6.5, True)),
-        (20, 30.0, 4.0, 100.0, (4.0, True)),
-        (4, 30.0, 30.0, 12.0, (12.0, True)),  # too few blocks for a scatter
-        (4, 30.0, 8.0, 50.0, (8.0, True)),
-    ],
-)
-def test_agreement_comes_from_held_out_records_that_show_the_effect(
-    monkeypatch: pytest.MonkeyPatch,
-    blocks: int,
-    expected_statistic: float,
-    held_out_statistic: float,
-    between_blocks: float,
-    evidence: tuple[float, bool],
-) -> None:
-    monkeypatch.setattr(candidate_screening, "expected", lambda *_: expected_statistic)
-    monkeypatch.setattr(candidate_screening, "chance", lambda *_: held_out_statistic)
-    monkeypatch.setattr(candidate_screening, "chance_between", lambda *_: between_blocks)
-    held = SimpleNamespace(size=np.ones(3), blocks=blocks)
-    assert candidate_screening._agrees(SimpleNamespace(), held, 1, np.ones(2)) == evidence
-
-
-@pytest.mark.parametrize(
-    ("identity", "share", "chance", "fitted"),
-    [
-        # A dead zone two thirds too wide acts in held-out records, the right one does not.
-        ("dead_zone@coil:7", 0.6, -0.9, True),
-        ("dead_zone@coil:7", 0.4, -0.9, False),
-        ("dead_zone@coil:7", 0.4, 2.5, True),
-        # A fit cannot improve an effect without shape parameters.
-        ("coil_gain@coil:7", 0.6, -0.9, False),
-        ("coil_gain@coil:7", 0.6, 6.5, True),
-    ],
-)
-def test_candidate_with_shape_parameters_that_explains_half_is_fitted(
-    identity: str, share: float, chance: float, fitted: bool
-) -> None:
+def tried(identity: str, gain: float, *shape: float) -> Tried:
     effect = NAMED[identity]
-    least = candidate_screening.Least(1e6, 0.0, little=False, visible=0.0)
-    tried = candidate_screening.Tried(
-        effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), chance
-    )
-    assert least.taken_by(tried) is fitted
+    return Tried(effect, shape, gain, np.array([gain, 0.0]), (1.0,))
+
+
+@pytest.fixture
+def screen(monkeypatch: pytest.MonkeyPatch) -> Screen:
+    """Return a function that screens ranked candidates; data agree with all but the given ones.
+
+    A fit of a shape takes 340 more than its guess.
+    """
+
+    def fitted(_: object, some: list[Tried], __: object) -> list[Tried]:
+        return [replace(t, gain=t.gain + FIT_TAKES) if t.shape else t for t in some]
+
+    def run(*ranked: Tried | list[Tried], doubtful: set[str] = frozenset(), open_=None) -> Round:  # type: ignore[assignment]
+        valleys = [one if isinstance(one, list) else [one] for one in ranked]
+        monkeypatch.setattr(screening, "_ranked", lambda *_: valleys)
+
+        def tested(_: object, some: list[Tried], *__: object) -> list[Tried]:
+            return [
+                replace(t, agreement=HARDLY if t.effect.identity in doubtful else SURELY)
+                for t in some
+            ]
+
+        monkeypatch.setattr(screening, "tested", tested)
+        train = SimpleNamespace(excess=1000.0, count=np.array([100.0]))
+        return screening.screened(
+            None, (), train, None, Criterion(OPTIONS, 1000.0, 0.0), open_ or (lambda _: True)
+        )  # type: ignore[arg-type]
+
+    monkeypatch.setattr(screening, "with_fitted_shapes", fitted)
+    return run
+
+
+def names(some: tuple[Tried, ...]) -> list[str]:
+    return [t.effect.identity for t in some]
+
+
+def test_candidate_that_explains_most_with_a_fitted_shape_is_taken(screen: Screen) -> None:
+    found = screen(tried(COIL_6, 900.0), tried(SATURATION, 800.0, 14.0, 6.0))
+    assert found.taken is not None
+    assert found.taken.effect.identity == SATURATION
+    assert found.taken.gain == 800.0 + FIT_TAKES
+    assert names(found.survivors) == [SATURATION, COIL_6]
+
+
+def test_each_candidate_is_fitted_from_other_shapes_of_its_grid(screen: Screen) -> None:
+    guesses = [tried(SATURATION, 500.0, 14.0, 6.0), tried(SATURATION, 600.0, 20.0, 6.0)]
+    found = screen(guesses)
+    assert found.taken is not None
+    assert (found.taken.shape, found.taken.gain) == ((20.0, 6.0), 940.0)
+    assert len(found.ranking) == 1
+
+
+def test_what_data_do_not_agree_with_is_not_taken(screen: Screen) -> None:
+    found = screen(tried(COIL_6, 900.0), tried(COIL_0, 500.0), doubtful={COIL_6})
+    assert found.taken is not None
+    assert found.taken.effect.identity == COIL_0
+    refused = screen(tried(COIL_6, 900.0), open_=lambda t: t.effect.identity != COIL_6)
+    assert (refused.taken, names(refused.ranking)) == (None, [COIL_6])
+
+
+def test_next_candidates_are_asked_if_none_of_the_first_is_taken(screen: Screen) -> None:
+    first = [tried(f"sensor_gain@sensor:{i}", 900.0) for i in range(9)]
+    first += [tried("sensor_nonlinearity.cubic@sensor:0", 900.0)]
+    assert len(first) == OPTIONS.fitted
+    later = tried(COIL_6, 400.0)
+    assert names(screen(*first, later).survivors) == names(tuple(first))
+    doubtful = set(names(tuple(first)))
+    assert names(screen(*first, later, doubtful=doubtful).survivors) == [COIL_6]
+    # What explains next to nothing is not fitted.
+    found = screen(*first, tried(COIL_6, 1.0), doubtful=doubtful)
+    assert (found.taken, len(found.ranking)) == (None, len(first))
 
 
 @pytest.mark.parametrize(
-    ("identity", "taken"),
-    [
-        ("rod_stiffness.cubic@psi", False),
-        # Another law of friction may be the right one; that is decided elsewhere.
-        ("friction.dahl@psi", True),
-        ("rod_stiffness.cubic@z", True),
-        ("coil_gain@coil:7", True),
-        ("flexible_mode.saddle@", True),  # without a single location
-    ],
+    ("gain", "other", "alike"),
+    [(950.0, 850.0, []), (950.0, 915.0, [COIL_0]), (150.0, 120.0, [COIL_0])],
 )
-def test_small_residual_of_friction_gives_no_further_effect_at_its_dof(
-    identity: str, taken: bool
+def test_candidates_that_gain_nearly_as_much_are_alternatives(
+    screen: Screen, gain: float, other: float, alike: list[str]
 ) -> None:
-    """For example, eight slip elements instead of twenty leave 1/500 of the friction's share."""
-    effect = NAMED[identity]
-    least = candidate_screening.Least(2e5, 1e8, little=False, visible=0.0, rubbed={"psi": 1e8})
-    tried = candidate_screening.Tried(effect, effect.grid[0], 2e5, np.ones(3), (1.0,), 90.0)
-    assert least.taken_by(tried) is taken
-    assert least.taken_by(replace(tried, gain=3e5))
+    found = screen(tried(COIL_6, gain), tried(COIL_0, other))
+    assert names(found.alternatives) == alike
 
 
 def test_free_form_of_fewer_signals_is_preferred() -> None:
     forms = {e.identity: e for e in freeform_effects(rig_places(), Extent.typical(rig_places()))}
-    alone, product = (
-        next(e for name, e in forms.items() if name.startswith(key) and name.endswith("@theta"))
-        for key in ("unknown.v_b[", "unknown.v_b[0.4]*theta[")
-    )
-    assert candidate_screening._told(alone, 95.0) > candidate_screening._told(product, 100.0)
-    assert candidate_screening._told(alone, 85.0) < candidate_screening._told(product, 100.0)
-    named = NAMED["rod_stiffness.cubic@psi"]
-    assert candidate_screening._told(named, 7.0) == 7.0
 
+    def worth(key: str, gain: float) -> float:
+        form = next(e for name, e in forms.items() if name.startswith(key) and "@theta" in name)
+        return screening.worth(Tried(form, (), gain, np.ones(1), ()), OPTIONS)
 
-@pytest.mark.parametrize(
-    ("share", "first_guess", "taken"),
-    [(0.2, False, True), (0.05, False, False), (0.05, True, True), (0.02, True, False)],
-)
-def test_initial_guess_of_a_resonance_has_a_lower_threshold(
-    share: float, first_guess: bool, taken: bool
-) -> None:
-    """A broad guess at 3 Hz explains 1/20 of a narrow resonance at 2 Hz, which the fit finds."""
-    forms = freeform_effects(rig_places(), Extent.typical(rig_places()))
-    kind = "unknown.answer.x_b" if first_guess else "unknown.psi["
-    effect = next(e for e in forms if e.key.startswith(kind) and e.where == ("theta",))
-    least = candidate_screening.Least(1e6, 0.0, little=False, visible=0.0)
-    tried = candidate_screening.Tried(effect, effect.grid[0], share * 1e6, np.ones(3), (1.0,), 9.0)
-    assert least.taken_by(tried) is taken
+    alone, product = "unknown.v_b[", "unknown.v_b[0.4]*theta["
+    assert worth(alone, 9500.0) > worth(product, 10_000.0)
+    assert worth(alone, 8500.0) < worth(product, 10_000.0)
+    # Two numbers of a shape have to gain Akaike's price more.
+    assert screening.worth(tried(COIL_6, 100.0), OPTIONS) == 98.0
+    assert screening.worth(tried(SATURATION, 100.0, 14.0, 6.0), OPTIONS) == 94.0

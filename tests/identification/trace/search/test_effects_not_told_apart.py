@@ -10,7 +10,9 @@ import pytest
 
 from levid.identification.trace.search import effects_not_told_apart as module
 from levid.identification.trace.search.effects_not_told_apart import Member, not_told_apart
+from levid.identification.trace.search_options import SearchOptions
 
+OPTIONS = SearchOptions()
 BLOCKS = 60
 
 
@@ -20,6 +22,10 @@ def member(key: str, numbers: int, squares: Any, gain: float = 0.0, where: str =
     )
     tried = SimpleNamespace(effect=effect, gain=gain)
     return Member(tried, SimpleNamespace(), np.asarray(squares))
+
+
+def told(*members: Member) -> list[str]:
+    return keys(not_told_apart(members, OPTIONS))
 
 
 def keys(members: list[Member]) -> list[str]:
@@ -34,21 +40,23 @@ def squares(seed: int, worse: float, scatter: float) -> np.ndarray:
 
 def test_equal_effects_are_one_group_and_the_accepted_one_stays() -> None:
     flat = np.full(BLOCKS, 1000.0)
-    found = not_told_apart([member("a", 1, flat), member("b", 1, flat), member("c", 1, flat)])
+    found = not_told_apart(
+        [member("a", 1, flat), member("b", 1, flat), member("c", 1, flat)], OPTIONS
+    )
     assert keys(found) == ["a", "b", "c"]
 
 
 def test_effect_that_is_worse_by_more_than_the_scatter_is_told_apart() -> None:
     best = member("a", 1, squares(1, 0.0, 0.0))
     # A sum over 60 blocks of scatter 10 has a standard error of 77; these differ by 180 and 300.
-    assert keys(not_told_apart([best, member("b", 1, squares(2, 3.0, 10.0))])) == ["a", "b"]
-    assert keys(not_told_apart([best, member("b", 1, squares(2, 5.0, 10.0))])) == ["a"]
+    assert told(best, member("b", 1, squares(2, 3.0, 10.0))) == ["a", "b"]
+    assert told(best, member("b", 1, squares(2, 5.0, 10.0))) == ["a"]
 
 
-def test_difference_within_the_accuracy_of_the_columns_tells_nothing() -> None:
+def test_difference_within_the_accuracy_of_an_equation_tells_nothing() -> None:
     flat, other = np.full(BLOCKS, 1000.0), np.full(BLOCKS, 1000.1)
-    assert keys(not_told_apart([member("a", 1, flat, 1e6), member("b", 1, other)])) == ["a", "b"]
-    assert keys(not_told_apart([member("a", 1, flat, 1e5), member("b", 1, other)])) == ["a"]
+    assert told(member("a", 1, flat, 1e5), member("b", 1, other)) == ["a", "b"]
+    assert told(member("a", 1, flat, 1e4), member("b", 1, other)) == ["a"]
 
 
 def test_richer_effect_replaces_a_simpler_one_only_if_it_is_surely_better() -> None:
@@ -56,31 +64,31 @@ def test_richer_effect_replaces_a_simpler_one_only_if_it_is_surely_better() -> N
     # By two and by four standard errors.
     better = member("rich", 4, squares(4, -2 * 10 / np.sqrt(BLOCKS), 10.0), where="psi")
     surely = member("rich", 4, squares(4, -4 * 10 / np.sqrt(BLOCKS), 10.0))
-    assert keys(not_told_apart([simple, better])) == ["simple", "rich"]
-    assert keys(not_told_apart([simple, surely])) == ["rich"]
+    assert told(simple, better) == ["simple", "rich"]
+    assert told(simple, surely) == ["rich"]
     # Little is not worth more numbers, however sure.
     little = member("rich", 4, squares(4, -0.3, 0.1))
-    assert keys(not_told_apart([simple, little]))[0] == "simple"
+    assert told(simple, little)[0] == "simple"
 
 
 def test_simpler_effect_takes_the_place_of_the_accepted_one() -> None:
     flat = np.full(BLOCKS, 1000.0)
     rich = member("rich", 4, flat, where="psi")
-    assert keys(not_told_apart([rich, member("simple", 1, flat)])) == ["simple", "rich"]
+    assert told(rich, member("simple", 1, flat)) == ["simple", "rich"]
 
 
 def test_richer_law_at_the_same_place_is_no_equal_of_a_simpler_one() -> None:
     """A dead zone that is wider than all commands is a gain."""
     flat = np.full(BLOCKS, 1000.0)
     gain, zone, other = member("gain", 1, flat), member("zone", 2, flat), member("other", 1, flat)
-    assert keys(not_told_apart([gain, zone, other])) == ["gain", "other"]
-    assert keys(not_told_apart([zone, gain])) == ["gain"]
+    assert told(gain, zone, other) == ["gain", "other"]
+    assert told(zone, gain) == ["gain"]
 
 
 def test_equal_fits_share_the_resamples() -> None:
     flat = np.full(BLOCKS, 1000.0)
-    assert module._shares([flat, flat]) == pytest.approx((0.5, 0.5))
-    assert module._shares([flat, flat + 10.0]) == pytest.approx((1.0, 0.0))
+    assert module._shares([flat, flat], 200) == pytest.approx((0.5, 0.5))
+    assert module._shares([flat, flat + 10.0], 200) == pytest.approx((1.0, 0.0))
 
 
 def test_support_is_the_share_of_resamples_with_a_sure_gain(
@@ -90,7 +98,7 @@ def test_support_is_the_share_of_resamples_with_a_sure_gain(
     strong, weak = 50.0 + rng.standard_normal(BLOCKS), 0.5 + rng.standard_normal(BLOCKS)
     monkeypatch.setattr(module, "removal_costs", lambda *_: [strong, weak])
     placed = tuple(SimpleNamespace(effect=SimpleNamespace(identity=k)) for k in ("strong", "weak"))
-    found = module.supports(SimpleNamespace(placed=placed), SimpleNamespace())
+    found = module.supports(SimpleNamespace(placed=placed), SimpleNamespace(), OPTIONS)
     assert found["strong"] == 1.0
     # Its mean is 3.9 standard errors: most resamples are above three.
     assert 0.5 < found["weak"] < 1.0

@@ -13,10 +13,12 @@ from levid.identification.trace.linearised.linearise_prediction_errors import li
 from levid.identification.trace.search.backward_elimination import removal_costs
 from levid.identification.trace.search.equivalent_candidates import equivalents
 from levid.identification.trace.search.gauss_newton import Candidate, gather
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
 
+OPTIONS = SearchOptions()
 EFFECTS = all_effects(PLACES, Extent.typical(PLACES))
 WEIGHT, CABLE = "beam_motion.gravity@theta", "cable_pull.linear@theta"
 
@@ -36,7 +38,7 @@ def lighter() -> WorkingPoint:
 
 def test_cable_is_equivalent_to_the_weight_and_others_are_not() -> None:
     here = lighter()
-    (rivals,) = equivalents(here, EFFECTS, OneRecord()).values()
+    (rivals,) = equivalents(here, EFFECTS, OneRecord(), OPTIONS).values()
     names = [t.effect.identity for t in rivals]
     assert CABLE in names
     assert WEIGHT not in names
@@ -49,5 +51,5 @@ def test_cable_is_equivalent_to_the_weight_and_others_are_not() -> None:
 
 
 def test_without_candidates_nothing_is_equivalent() -> None:
-    assert equivalents(lighter(), (), OneRecord()) == {}
-    assert equivalents(point(), EFFECTS, OneRecord()) == {}
+    assert equivalents(lighter(), (), OneRecord(), OPTIONS) == {}
+    assert equivalents(point(), EFFECTS, OneRecord(), OPTIONS) == {}

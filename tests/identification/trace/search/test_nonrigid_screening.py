@@ -10,14 +10,15 @@ from declared_model_records import PLACES, SENSOR_SD, SHAPE, point, record
 
 from levid.identification.trace.linearised.linearise_prediction_errors import linearise
 from levid.identification.trace.search import nonrigid_screening
-from levid.identification.trace.search.candidate_screening import DESCRIBES
 from levid.identification.trace.search.gauss_newton import Candidate, gather
 from levid.identification.trace.search.regression import ColumnEvidence, gains
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.operating_range import Extent
 
+OPTIONS = SearchOptions()
 FORMS = freeform_effects(PLACES, Extent.typical(PLACES))
 CANDIDATES: list[Candidate] = [(e, tuple(shape)) for e in FORMS for shape in e.grid]
 
@@ -54,14 +55,16 @@ def test_forms_of_correct_sensors_are_screened_out(biased_record):
     assert len(first) + len(rest) == len(CANDIDATES)
     assert {e.where[0].partition(":")[0] for e, _ in first} == {"sensor"}
     assert not {e.where[0].partition(":")[0] for e, _ in rest} & {"sensor"}
-    least = DESCRIBES * gather(point(), [linearise(point(), biased_record, [])]).excess
+    least = (
+        OPTIONS.least_free_gain * gather(point(), [linearise(point(), biased_record, [])]).excess
+    )
     shown = [nonrigid_screening.shown_beyond(point(), biased_record, first)]
-    kept = nonrigid_screening.worth_columns(first, shown, SHAPE, least)
+    kept = nonrigid_screening.worth_columns(first, shown, SHAPE, least, 60)
     # The pose error of the middle sensor gives the corners 1/9 of its error, with opposite sign.
     assert {e.where[0] for e, _ in kept} <= {"sensor:4", *(f"sensor:{s}" for s in (0, 2, 6, 8))}
     assert any(e.identity.startswith("unknown.x_b") and e.where == ("sensor:4",) for e, _ in kept)
     assert len({e.identity for e, _ in kept}) <= 60
-    assert not nonrigid_screening.worth_columns(first, shown, SHAPE, 1e9)
+    assert not nonrigid_screening.worth_columns(first, shown, SHAPE, 1e9, 60)
 
 
 def test_forms_of_a_sensor_with_an_accepted_effect_are_not_screened():

@@ -12,11 +12,13 @@ from declared_model_records import PLACES, point, record
 from levid.identification.trace.linearised.gram_matrices import Linearised
 from levid.identification.trace.linearised.linearise_prediction_errors import linearise
 from levid.identification.trace.search import prescreening
-from levid.identification.trace.search.candidate_screening import is_internal
 from levid.identification.trace.search.prescreening import most_telling, shortlisted
+from levid.identification.trace.search.tested_candidate import is_internal
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
 
+OPTIONS = SearchOptions()
 EFFECTS = all_effects(PLACES, Extent.typical(PLACES))
 CUBIC = "rod_stiffness.cubic@z"
 CANDIDATES = [
@@ -76,26 +78,26 @@ class ThreeRecords:
 
 def test_only_some_records_are_asked_about_all_candidates() -> None:
     records = ThreeRecords()
-    some = shortlisted(point(), CANDIDATES, records)
+    some = shortlisted(point(), CANDIDATES, records, OPTIONS)
     identities = {e.identity for e, _ in some}
     drives = {e.identity for e, _ in CANDIDATES if is_internal(e)}
     others = [c for c in CANDIDATES if not is_internal(c[0])]
     assert records.asked == [(0, None), (len(others), [1])]
     assert drives <= identities  # the errors of the platform do not tell of them
-    assert len(identities - drives) <= prescreening.MOST
+    assert len(identities - drives) <= OPTIONS.shortlisted
     assert [c for c in CANDIDATES if c in some] == some  # in their order
 
 
 def test_few_candidates_are_all_returned_unasked() -> None:
     records = ThreeRecords()
     few = CANDIDATES[:5]
-    assert shortlisted(point(), few, records) == few
+    assert shortlisted(point(), few, records, OPTIONS) == few
     assert records.asked == []
 
 
 @pytest.mark.parametrize(("share", "several"), [(0.0, True), (1.0, False)])
 def test_shapes_far_from_the_best_are_left_out(share: float, several: bool, monkeypatch) -> None:
     monkeypatch.setattr(prescreening, "_SHAPE", share)
-    some = shortlisted(point(), CANDIDATES, ThreeRecords())
+    some = shortlisted(point(), CANDIDATES, ThreeRecords(), OPTIONS)
     rows = [e.identity for e, _ in some if e.where == ("z",)]
     assert any(rows.count(row) > 1 for row in rows) == several

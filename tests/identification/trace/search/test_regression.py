@@ -7,11 +7,10 @@ from levid.identification.trace.linearised.gram_matrices import Beside, Linearis
 from levid.identification.trace.search.regression import (
     FOLDS,
     ColumnEvidence,
-    chance,
-    chance_between,
     covariance,
     cross_validated,
-    expected,
+    foretold,
+    foretold_between,
     gains,
     remaining,
     solve,
@@ -156,7 +155,7 @@ def agreement(seed: int, effect: float, noise: float) -> float:
     train, held = (evidence(*draw(2 * seed + i, effect, noise)) for i in (0, 1))
     pick = [0, 1, 2]
     there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
-    return chance(held, [0, 1], [2], there)
+    return foretold(held, [0, 1], [2], there).statistic
 
 
 @pytest.mark.parametrize("noise", [1.0, 3.0])
@@ -193,11 +192,12 @@ def test_agreement_uses_the_error_variance_where_the_candidate_acts() -> None:
         train, held = (evidence(*draw_with_larger_errors(2 * seed + i)) for i in (0, 1))
         pick = [0, 1, 2]
         there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
-        found.append(chance(held, [0, 1], [2], there))
+        found.append(foretold(held, [0, 1], [2], there).statistic)
     # The larger of two estimates is used, one of them from 15 blocks: up to a quarter below one.
     assert 0.7 < np.var(found) < 1.0 + 4 * np.sqrt(2 / 600)
     between = [
-        chance_between(evidence(*draw_with_larger_errors(s)), [0, 1], [2]) for s in range(300)
+        foretold_between(evidence(*draw_with_larger_errors(s)), [0, 1], [2]).statistic
+        for s in range(300)
     ]
     assert np.var(between) < 2.0 + 4 * np.sqrt(8 / 300)
 
@@ -236,21 +236,25 @@ def test_agreement_equals_its_expected_value_for_white_residuals() -> None:
         train, held = (evidence(*draw(2 * seed + i, 0.3)) for i in (0, 1))
         pick = [0, 1, 2]
         there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
-        sizes.append((chance(held, [0, 1], [2], there), expected(held, [0, 1], [2], there)))
+        sizes.append(foretold(held, [0, 1], [2], there))
     difference = np.array([found - wanted for found, wanted in sizes])
     # The error of the coefficients lowers the statistic by half a variance over its size: 0.07.
     assert abs(difference.mean()) < 4 / np.sqrt(100) + 0.07
-    assert expected(held, [0, 1], [2], np.zeros(3)) == 0.0
+    assert foretold(held, [0, 1], [2], np.zeros(3)) == (0.0, 0.0)
+
+
+def between(seed: int, effect: float = 0.0) -> float:
+    return foretold_between(evidence(*draw(seed, effect)), [0, 1], [2]).statistic
 
 
 def test_agreement_between_blocks_is_found_for_an_effect_and_not_for_noise() -> None:
-    nothing = np.array([chance_between(evidence(*draw(s)), [0, 1], [2]) for s in range(600)])
+    nothing = np.array([between(s) for s in range(600)])
     # Without an effect, folds predict each other with the opposite sign: the mean is below zero.
     assert nothing.mean() < 4 * np.sqrt(2 / 600)
     # Products of noise have longer tails than noise; 600 normal values of variance two reach 4.5.
     assert nothing.max() < 8.0
     for effect in (0.3, 0.6):
-        there = [chance_between(evidence(*draw(s, effect)), [0, 1], [2]) for s in range(20)]
+        there = [between(s, effect) for s in range(20)]
         # As large as in other records of the same length: 0.3 sqrt(0.8 900) = 8.
         assert np.mean(there) == pytest.approx(effect * np.sqrt(0.8 * BLOCKS * ROWS), rel=0.15)
 
@@ -260,4 +264,23 @@ def test_effect_in_a_few_blocks_is_found() -> None:
     X[:, :, 2] = 0.0
     X[4:7, :, 2] = np.random.default_rng(1).normal(size=(3, ROWS))
     e[4:7] -= 2.0 * X[4:7, :, 2]
-    assert chance_between(evidence(X, e), [0, 1], [2]) > 15.0
+    assert foretold_between(evidence(X, e), [0, 1], [2]).statistic > 15.0
+
+
+@pytest.mark.parametrize(("present", "lowers"), [(1.0, True), (0.6, True), (0.4, False)])
+def test_prediction_lowers_the_errors_if_more_than_half_of_it_is_there(
+    present: float, lowers: bool
+) -> None:
+    train, held = evidence(*draw(1, 0.9)), evidence(*draw(2, 0.9 * present))
+    pick = [0, 1, 2]
+    there = solve(train.whole, pick) / train.size[pick] * held.size[pick]
+    found = foretold(held, [0, 1], [2], there)
+    assert (found.statistic > 0.5 * found.expected) is lowers
+    # The records may have other parameters of their own: these are regressed in both.
+    base, errors = [0, 1], held.whole
+    take = np.eye(len(errors))
+    take[2, -1] = there[2]
+    squares = [
+        remaining(g[None], base, solve(g, base))[0] for g in (errors, take.T @ errors @ take)
+    ]
+    assert bool(squares[1] < squares[0]) is lowers

@@ -12,21 +12,29 @@ from effect_test_helpers import rig_places
 from linearisation_point_stub import Point
 
 from levid.identification.trace.search import replace_effect_by_rival
-from levid.identification.trace.search.candidate_screening import HeldError, Round, Tried
 from levid.identification.trace.search.forward_selection import Grown
+from levid.identification.trace.search.tested_candidate import (
+    Agreement,
+    HeldError,
+    Round,
+    Tried,
+)
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 
+OPTIONS = SearchOptions()
 NAMED = {e.identity: e for e in all_effects(rig_places())}
 DAMPING, DRAG, COULOMB, GAIN = (
     "air_damping.linear@z", "air_damping.quadratic@z", "friction.coulomb@z", "coil_gain@coil:1"
 )  # fmt: skip
 LEFT = 10.0
+SURELY = Agreement(100.0, 100.0, 100.0, True)
 
 
-def tried(identity: str, gain: float, chance: float = 100.0, held: bool = True) -> Tried:
+def tried(identity: str, gain: float, agreement: Agreement = SURELY) -> Tried:
     effect = NAMED[identity]
-    return Tried(effect, effect.grid[0], gain, np.ones(1), (1.0,), chance, held)
+    return Tried(effect, effect.grid[0], gain, np.ones(1), (1.0,), agreement)
 
 
 def effect_names(found: Grown) -> list[str]:
@@ -35,12 +43,12 @@ def effect_names(found: Grown) -> list[str]:
 
 def found(*rounds: Round) -> Grown:
     placed = [Placed(r.taken.effect, (), (1.0,)) for r in rounds if r.taken is not None]
-    return Grown(Point(tuple(placed)), HeldError(1.0 + LEFT, 1.0), rounds)  # type: ignore[arg-type]
+    return Grown(Point(tuple(placed)), HeldError(1.0 + LEFT, 1.0, np.ones(6)), rounds)  # type: ignore[arg-type]
 
 
 def round_of(taken: Tried | None, *others: Tried) -> Round:
     survivors = others if taken is None else (taken, *others)
-    return Round(1e6, 1e5, survivors, survivors, (), taken, others)
+    return Round(1e6, 1e5, survivors, survivors, taken, others)
 
 
 @pytest.fixture
@@ -54,7 +62,7 @@ def starting_points(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
     monkeypatch.setattr(replace_effect_by_rival, "grown", grown)
     monkeypatch.setattr(replace_effect_by_rival, "refine", lambda point, *_, **__: (point, 1e3))
-    monkeypatch.setattr(replace_effect_by_rival, "asked_again", lambda _, rival, *__: rival)
+    monkeypatch.setattr(replace_effect_by_rival, "tested", lambda _, some, *__: list(some))
     return reported
 
 
@@ -63,7 +71,8 @@ def records_with_errors(**error_with: float) -> Any:
 
     def held_error(point: Point) -> HeldError:
         classes = [p.effect.identity.partition("@")[0].replace(".", "_") for p in point.placed]
-        return HeldError(1.0 + min((error_with.get(c, LEFT) for c in classes), default=LEFT), 1.0)
+        left = min((error_with.get(c, LEFT) for c in classes), default=LEFT)
+        return HeldError(1.0 + left, 1.0, np.ones(6))
 
     return SimpleNamespace(held_error=held_error)
 
@@ -81,7 +90,7 @@ def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
         round_of(None, tried(COULOMB, 4e3)),
     )
     swapped = replace_effect_by_rival.otherwise(
-        so_far, (), 4, records_with_errors(air_damping_quadratic=0.1), no_progress
+        so_far, (), 4, records_with_errors(air_damping_quadratic=0.1), no_progress, OPTIONS
     )
     assert starting_points == [[GAIN, DRAG]]
     assert effect_names(swapped) == [GAIN, DRAG]
@@ -90,7 +99,7 @@ def test_rival_replaces_the_accepted_effect_if_it_halves_the_error(
     assert not swapped.rounds[1].alternatives
     assert swapped.rounds[1].instead_of is NAMED[DAMPING]
     same = replace_effect_by_rival.otherwise(
-        so_far, (), 4, records_with_errors(air_damping_quadratic=0.6 * LEFT), no_progress
+        so_far, (), 4, records_with_errors(air_damping_quadratic=0.6 * LEFT), no_progress, OPTIONS
     )
     assert same is so_far
 
@@ -103,13 +112,14 @@ def test_rival_with_the_smallest_error_is_chosen(starting_points: list[list[str]
         4,
         records_with_errors(air_damping_quadratic=4.0, friction_coulomb=2.0),
         no_progress,
+        OPTIONS,
     )
     assert starting_points == [[DRAG], [COULOMB]]
     assert effect_names(swapped) == [COULOMB]
     # After a small error no other rival is tried.
     del starting_points[:]
     swapped = replace_effect_by_rival.otherwise(
-        so_far, (), 4, records_with_errors(air_damping_quadratic=0.5), no_progress
+        so_far, (), 4, records_with_errors(air_damping_quadratic=0.5), no_progress, OPTIONS
     )
     assert (starting_points, effect_names(swapped)) == ([[DRAG]], [DRAG])
 
@@ -117,9 +127,9 @@ def test_rival_with_the_smallest_error_is_chosen(starting_points: list[list[str]
 @pytest.mark.parametrize(
     "rival",
     [
-        tried(DRAG, 3.9e5),  # much smaller gain
-        tried(DRAG, 4.9e5, chance=5.0),  # held-out data do not agree
-        tried(DRAG, 4.9e5, chance=15.0, held=False),
+        tried(DRAG, 2.4e5),  # less than half of the gain
+        tried(DRAG, 4.9e5, Agreement(100.0, 100.0, 5.0, True)),  # held-out data do not agree
+        tried(DRAG, 4.9e5, Agreement(5.0, 1.0, 1.0, False)),  # nor do blocks that did not fit it
     ],
 )
 def test_rival_with_small_gain_or_without_agreement_is_not_tried(
@@ -128,7 +138,7 @@ def test_rival_with_small_gain_or_without_agreement_is_not_tried(
     so_far = found(round_of(tried(DAMPING, 5e5), rival))
     assert (
         replace_effect_by_rival.otherwise(
-            so_far, (), 4, records_with_errors(air_damping_quadratic=0.1), no_progress
+            so_far, (), 4, records_with_errors(air_damping_quadratic=0.1), no_progress, OPTIONS
         )
         is so_far
     )
@@ -142,7 +152,9 @@ def test_no_swap_if_the_rival_is_placed_or_the_effect_was_removed(
         round_of(tried(DAMPING, 5e5), tried(DRAG, 4.9e5)), round_of(tried(DRAG, 1e5))
     )
     assert (
-        replace_effect_by_rival.otherwise(with_rival, (), 4, records_with_errors(), no_progress)
+        replace_effect_by_rival.otherwise(
+            with_rival, (), 4, records_with_errors(), no_progress, OPTIONS
+        )
         is with_rival
     )
     with_removed_effect = with_rival._replace(
@@ -150,7 +162,7 @@ def test_no_swap_if_the_rival_is_placed_or_the_effect_was_removed(
     )
     assert (
         replace_effect_by_rival.otherwise(
-            with_removed_effect, (), 4, records_with_errors(), no_progress
+            with_removed_effect, (), 4, records_with_errors(), no_progress, OPTIONS
         )
         is with_removed_effect
     )
@@ -163,7 +175,9 @@ def test_at_most_three_rivals_are_tried_and_failed_fits_are_ignored(
     rivals = [tried(f"coil_gain@coil:{n}", 4.9e5 - n) for n in range(2, 7)]
     so_far = found(round_of(tried(GAIN, 5e5), *rivals))
     assert (
-        replace_effect_by_rival.otherwise(so_far, (), 4, records_with_errors(), no_progress)
+        replace_effect_by_rival.otherwise(
+            so_far, (), 4, records_with_errors(), no_progress, OPTIONS
+        )
         is so_far
     )
     assert starting_points == [[f"coil_gain@coil:{n}"] for n in (2, 3, 4)]
@@ -176,7 +190,9 @@ def test_at_most_three_rivals_are_tried_and_failed_fits_are_ignored(
     for fails in ("grown", "refine"):
         monkeypatch.setattr(replace_effect_by_rival, fails, diverges)
         assert (
-            replace_effect_by_rival.otherwise(so_far, (), 4, records_with_errors(), no_progress)
+            replace_effect_by_rival.otherwise(
+                so_far, (), 4, records_with_errors(), no_progress, OPTIONS
+            )
             is so_far
         )
     assert not starting_points
@@ -186,14 +202,14 @@ def test_progress_never_decreases(
     starting_points: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def grown(so_far: Grown, _: object, most: int, *rest: Any) -> Grown:
-        rest[-1]("screening", 0.15)
+        rest[-2]("screening", 0.15)
         return so_far
 
     monkeypatch.setattr(replace_effect_by_rival, "grown", grown)
     reported: list[float] = []
     so_far = found(round_of(tried(GAIN, 5e5), tried(DRAG, 4.9e5)))
     replace_effect_by_rival.otherwise(
-        so_far, (), 4, records_with_errors(), lambda _, done: reported.append(done)
+        so_far, (), 4, records_with_errors(), lambda _, done: reported.append(done), OPTIONS
     )
     assert len(reported) == 2
     assert reported == sorted(reported)

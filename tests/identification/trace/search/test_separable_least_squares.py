@@ -16,10 +16,10 @@ from levid.identification.trace.linearised.linearisation_point import (
 )
 from levid.identification.trace.linearised.linearise_prediction_errors import linearise
 from levid.identification.trace.records.record_from_log import TraceRecord
-from levid.identification.trace.search.candidate_screening import Tried
 from levid.identification.trace.search.gauss_newton import Candidate, gather
 from levid.identification.trace.search.regression import remaining, solve
 from levid.identification.trace.search.separable_least_squares import with_fitted_shapes
+from levid.identification.trace.search.tested_candidate import Tried
 from levid.model.effects.base import Placed, Term
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
@@ -27,6 +27,7 @@ from levid.model.effects.operating_range import Extent
 EFFECTS = {e.identity: e for e in all_effects(PLACES, Extent.typical(PLACES))}
 COULOMB, DAHL, CUBIC = "friction.coulomb@z", "friction.dahl@z", "rod_stiffness.cubic@z"
 FORCE_N, SPEED_M_S = 0.02, 2e-3
+LINE_HZ = 23.0
 
 
 class OneRecord:
@@ -43,7 +44,25 @@ class OneRecord:
 def started(identity: str, *shape: float) -> Tried:
     effect = EFFECTS[identity]
     amplitudes = (0.004,) * len(effect.amplitudes)
-    return Tried(effect, shape, 0.0, np.zeros(1), amplitudes, np.inf)
+    return Tried(effect, shape, 0.0, np.zeros(1), amplitudes)
+
+
+def moved_by(force: np.ndarray, made: TraceRecord) -> np.ndarray:
+    """Return the motion (rows, n) that forces add to that of the linear plant."""
+    here, at = point(), motion(point().model, made.experiment, "zoh")
+    still = np.zeros((made.rows, 6, 3))  # a filter that reads nothing is the plant
+
+    def answer(some: np.ndarray) -> np.ndarray:
+        _, driven = corrected_experiment(here, made, at, Term(force=some))
+        return -innovations(driven, still, np.zeros_like(made.experiment.y), np.zeros(6))
+
+    return answer(force) - answer(np.zeros_like(force))
+
+
+def with_motion(made: TraceRecord, moved: np.ndarray) -> TraceRecord:
+    """Return a record with more motion."""
+    e = replace(made.experiment, y=made.experiment.y + moved)
+    return replace(made, experiment=e, gap=made.gap + moved @ SHAPE.T)
 
 
 @pytest.fixture(scope="module")
@@ -55,25 +74,17 @@ def rubbing() -> TraceRecord:
     """
     here, made = point(), record("moving", 21_000)
     at = motion(here.model, made.experiment, "zoh")
-    still = np.zeros((made.rows, 6, 3))  # a filter that reads nothing is the plant
-
-    def answer(force: np.ndarray) -> np.ndarray:
-        _, driven = corrected_experiment(here, made, at, Term(force=force))
-        return -innovations(driven, still, np.zeros_like(made.experiment.y), np.zeros(6))
-
-    free, pushed = answer(np.zeros((made.rows, 3))), np.zeros((made.rows, 3))
+    pushed = np.zeros((made.rows, 3))
     signals, _ = filtered(here, made, at)
     for _ in range(5):
         placed = Placed(EFFECTS[COULOMB], (SPEED_M_S,), (FORCE_N,))
-        moved = answer(pushed) - free
+        moved = moved_by(pushed, made)
         speed = np.gradient(moved, TS, axis=0)
         along_it = replace(signals, q=signals.q + moved, qd=signals.qd + speed)
         force = placed.term(along_it).force
         assert force is not None
         pushed = force
-    moved = answer(pushed) - free
-    e = replace(made.experiment, y=made.experiment.y + moved)
-    return replace(made, experiment=e, gap=made.gap + moved @ SHAPE.T)
+    return with_motion(made, moved_by(pushed, made))
 
 
 @pytest.mark.parametrize("start", [2e-4, 1e-3, 5e-3])
@@ -82,6 +93,24 @@ def test_shape_and_amplitude_are_found_from_any_start(rubbing: TraceRecord, star
     # The friction was put on a trajectory of finite differences, and the readings have noise.
     assert found.shape[0] == pytest.approx(SPEED_M_S, rel=0.05)
     assert found.amplitudes[0] == pytest.approx(FORCE_N, rel=0.02)
+
+
+def test_frequency_of_a_line_is_found_from_an_inaccurate_guess() -> None:
+    """Its phase turns with the frequency: derivatives must be those of the regressed amplitudes."""
+    covered = replace(Extent.typical(PLACES), tones_hz=(LINE_HZ,))
+    lines = (e for e in all_effects(PLACES, covered) if e.effect_class == "vibration")
+    line = next(e for e in lines if e.where == ("z",) and len(e.shape) == 1)
+    made = record("moving", 21_000)
+    signals, _ = filtered(point(), made, motion(point().model, made.experiment, "zoh"))
+    force = Placed(line, (LINE_HZ,), (0.03, -0.02)).term(signals).force
+    assert force is not None
+    shaken = with_motion(made, moved_by(force, made))
+    duration_s = made.rows * TS
+    guess = LINE_HZ - 0.6 / duration_s  # it is out of phase at one end
+    begun = Tried(line, (guess,), 0.0, np.zeros(1), (0.01, 0.01))
+    (found,) = with_fitted_shapes(point(), [begun], OneRecord(shaken))
+    assert abs(found.shape[0] - LINE_HZ) < 0.02 / duration_s
+    assert found.amplitudes == pytest.approx((0.03, -0.02), rel=0.05)
 
 
 def test_no_shape_beside_the_found_one_explains_more(rubbing: TraceRecord) -> None:

@@ -1,0 +1,131 @@
+"""Judge an effect by data that did not fit it: the one rule by which it is added or refused.
+
+An effect is taken if
+
+1. blocks of time, each predicted by the others, agree with it beyond chance,
+2. held-out records lower their errors by it, where it should do more in them than chance does, and
+   do not surely raise them elsewhere,
+3. it takes enough of the errors to matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..linearised.linearisation_point import WorkingPoint
+from ..search_options import SearchOptions
+from .gauss_newton import gather
+from .regression import ColumnEvidence, foretold, foretold_between, solve
+from .tested_candidate import FRICTION, Agreement, HeldError, Records, Tried, is_internal
+
+Array = NDArray[np.float64]
+
+HALF = 0.5
+"""Of what an effect must take, as much is enough at a first guess of its shape to fit that."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """What an effect must take, in squared errors, and how surely.
+
+    `excess` is what there is, `explained` what others took of it before. visible: where the free
+    simulation of the held-out records has nothing left to explain, what an effect of the platform
+    that they know must take; 0 otherwise. rubbed: what friction on each DOF takes.
+    """
+
+    options: SearchOptions
+    excess: float
+    explained: float
+    visible: float = 0.0
+    rubbed: Mapping[str, float] = field(default_factory=dict)
+
+    def takes(self, tried: Tried) -> bool:
+        """Return whether a tested candidate is taken."""
+        return confirmed(tried.agreement, self.options) and tried.gain > self.worth(tried)
+
+    def may_take(self, tried: Tried) -> bool:
+        """Return whether a candidate at a first guess of its shape is worth a fit of that."""
+        return tried.gain > (HALF if tried.shape else 1.0) * self.worth(tried)
+
+    def worth(self, tried: Tried) -> float:
+        """Return the squared errors that a candidate must take."""
+        effect, options = tried.effect, self.options
+        share = options.least_free_gain if effect.effect_class == "unknown" else options.least_gain
+        worth = max(share * self.excess, options.inexact * self.explained, options.least_squares)
+        if tried.agreement.asked and not is_internal(effect):
+            worth = max(worth, self.visible)
+        if effect.effect_class != FRICTION:
+            rubbed = max((self.rubbed.get(w, 0.0) for w in effect.where), default=0.0)
+            worth = max(worth, options.another_law * rubbed)
+        return worth
+
+
+def confirmed(agreement: Agreement, options: SearchOptions) -> bool:
+    """Return whether data that did not fit an effect agree with it.
+
+    Held-out records that agree by more than half of what is expected have smaller errors with it.
+    Those that are not asked must not be surely larger.
+    """
+    lowers_by = agreement.held - 0.5 * agreement.expected
+    least = 0.0 if agreement.asked else -options.standard_errors
+    return agreement.between > options.agreement and lowers_by > least
+
+
+def certainty(agreement: Agreement) -> float:
+    """Return the statistic that decided, in standard deviations of chance."""
+    return agreement.held if agreement.asked else agreement.between
+
+
+def tested(
+    point: WorkingPoint, tried: Sequence[Tried], records: Records, options: SearchOptions
+) -> list[Tried]:
+    """Return candidates with what training and held-out records say of them, at their shapes."""
+    candidates = [(t.effect, t.shape) for t in tried]
+    train = gather(point, records.train(point, candidates))
+    held = gather(point, records.held(point, candidates))
+    own = len(train.size) - 1
+    return [
+        replace(t, agreement=_agreement(train.joined(i), held.joined(i), own, options))
+        for i, t in enumerate(tried)
+    ]
+
+
+def helps(
+    tried: Tried, before: HeldError, after: HeldError, explained: bool, options: SearchOptions
+) -> bool:
+    """Return whether held-out records confirm an effect, by their free-run errors.
+
+    They must fall where they should show it and are not `explained` without it, and never surely
+    rise.
+    """
+    asked = tried.agreement.asked and not is_internal(tried.effect) and not explained
+    return not is_worse(after, before, options) and (after.squares < before.squares or not asked)
+
+
+def is_worse(one: HeldError, other: HeldError, options: SearchOptions) -> bool:
+    """Return whether a free-run error of the held-out records is surely above another one.
+
+    Surely is by the standard errors of the options, of the sum over blocks of time.
+    """
+    if not np.isfinite(one.squares):
+        return True
+    rise = one.blocks - other.blocks
+    surely = options.standard_errors * rise.std() * np.sqrt(len(rise))
+    return bool(rise.sum() > surely)
+
+
+def _agreement(
+    train: ColumnEvidence, held: ColumnEvidence, own: int, options: SearchOptions
+) -> Agreement:
+    """Return the agreement with the columns behind the first `own`, which are there already."""
+    columns = list(range(len(train.size) - 1))
+    base, group = columns[:own], columns[own:]
+    coefficients = solve(train.whole, columns) / train.size[:-1] * held.size[:-1]
+    between = foretold_between(train, base, group)
+    elsewhere = foretold(held, base, group, coefficients)
+    asked = elsewhere.expected > options.agreement
+    return Agreement(between.statistic, elsewhere.expected, elsewhere.statistic, asked)

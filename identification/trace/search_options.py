@@ -1,0 +1,106 @@
+"""The numbers by which the search for effects decides, each with its meaning and its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Numbers of the search, in prediction errors of the rig and in forces of imported records.
+
+    standard_errors: what an effect takes of data that did not fit it, over its standard error, from
+    which on it is no chance: one in 700 by itself. It is asked of the best of a hundred candidates,
+    but each also has to take `least_gain`, and to keep its sign in other records.
+
+    least_gain: share of what noise does not explain that an effect must take to matter (0.1 is 5 %
+    of the RMS error). least_free_gain: the same for a free form, which fits a little of everything.
+
+    accuracy: the relative error of an equation that is right. Its square is what an effect leaves
+    of what it takes, and anything smaller beside it is that; half of it the force that a held input
+    is known to between samples, and twice of it the difference below which two are fitted to be
+    compared.
+
+    law_accuracy: the same of a law of friction that stands for another one, such as eight slip
+    elements for twenty.
+
+    explained, much_left: RMS errors over those of noise alone below which records are explained,
+    and above which free forms are asked; also the ratio at which a fit with weights is worse than
+    one without.
+
+    told_from_model: share of an effect's squared force that must remain beside the model's own
+    parameters and the scale of all actuators; the rest is a change of these.
+
+    blocks: blocks of time of imported records, by whose scatter an effect is judged. Fewer make the
+    scatter uncertain, more make the blocks shorter than what an effect needs to show.
+    fewest_blocks: in short records, of which each block needs two independent values.
+
+    reported: share of every imported record that neither fits nor chooses.
+
+    most_effects: bound of the search. fitted: candidates whose nonlinear numbers are fitted at
+    once. patience: how many refusals in a row, detours and other ways a search tries. resamples:
+    bootstrap samples of the blocks for the support.
+    """
+
+    standard_errors: float = 3.0
+    least_gain: float = 0.1
+    least_free_gain: float = 0.2
+    accuracy: float = 0.01
+    law_accuracy: float = 0.05
+    explained: float = 1.03
+    much_left: float = 1.3
+    told_from_model: float = 1e-3
+    blocks: int = 24
+    fewest_blocks: int = 8
+    reported: float = 0.25
+    most_effects: int = 6
+    fitted: int = 10
+    patience: int = 3
+    resamples: int = 200
+
+    @property
+    def agreement(self) -> float:
+        """Standard deviations of chance by which data agree with what gains `standard_errors`.
+
+        A gain of G squared errors of unit variance has a standard error of 2 sqrt(G).
+        """
+        return 2.0 * self.standard_errors
+
+    @property
+    def least_squares(self) -> float:
+        """Squared errors of unit variance that are as much by themselves."""
+        return self.agreement**2
+
+    @property
+    def inexact(self) -> float:
+        """Share of the squared errors that an equation leaves of what it takes."""
+        return self.accuracy**2
+
+    @property
+    def another_law(self) -> float:
+        """The same of a law of friction in the place of another one."""
+        return self.law_accuracy**2
+
+    @property
+    def alike(self) -> float:
+        """Difference of two gains, over the larger one, below which both are fitted."""
+        return 2.0 * self.accuracy
+
+    @property
+    def visible(self) -> float:
+        """Share of what noise leaves of prediction errors that may be beyond it and mean nothing.
+
+        It counts where the free simulation of the held-out records shows nothing any more: what is
+        left is an effect that they do not show, or only one step ahead.
+        """
+        return 2.0 * self.accuracy
+
+    @property
+    def least_force(self) -> float:
+        """Force over that of the inputs that an effect must change."""
+        return 0.5 * self.accuracy
+
+    @property
+    def shortlisted(self) -> int:
+        """Candidates that all records are asked about."""
+        return self.fitted * self.most_effects

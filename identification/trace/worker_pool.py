@@ -17,7 +17,7 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +29,7 @@ from ...config.model import ModelConfig
 from ...log.reader import read_log
 from ...model.effects.base import Loads
 from ..records.record import IdentificationError
+from .record_affinity_pool import RecordAffinityPool
 from .records.record_from_log import TraceRecord, trace_record
 
 Answer = TypeVar("Answer")
@@ -173,7 +174,7 @@ def local_workers(
         return
     context = multiprocessing.get_context("forkserver")
     others = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_begin) as pool:
+    with RecordAffinityPool(count, context, _begin, _length) as pool:
         try:
             yield Spread(config, pool, "a worker", report)
         except BaseException:
@@ -182,6 +183,13 @@ def local_workers(
             for worker in set(multiprocessing.active_children()) - others:
                 worker.terminate()
             raise
+
+
+def _length(argument: object) -> tuple[RecordSource, int] | None:
+    """Return a record among the arguments of a task with its rows."""
+    if not isinstance(argument, RecordSource):
+        return None
+    return argument, argument.stop - argument.start
 
 
 def _begin() -> None:

@@ -99,11 +99,14 @@ def helps(
 ) -> bool:
     """Return whether held-out records confirm an effect, by their free-run errors.
 
-    They must fall where they should show it and are not `explained` without it, and never surely
-    rise.
+    Where they should show it and are not `explained` without it, it must take as much of what noise
+    does not explain as of the errors one step ahead; elsewhere they must not surely rise. A mass on
+    a spring follows a line that shakes the platform one step ahead, and foretells nothing of it.
     """
     asked = tried.agreement.asked and not is_internal(tried.effect) and not explained
-    return not is_worse(after, before, options) and (after.squares < before.squares or not asked)
+    least = options.least_gain * max(before.squares - before.floor, 0.0)
+    falls = before.squares - after.squares > least
+    return not is_worse(after, before, options) and (falls or not asked)
 
 
 def is_worse(one: HeldError, other: HeldError, options: SearchOptions) -> bool:

@@ -12,6 +12,7 @@ from levid.identification.trace.search.predictive_criterion import (
     Criterion,
     certainty,
     confirmed,
+    helps,
     is_worse,
 )
 from levid.identification.trace.search.tested_candidate import Agreement, HeldError, Tried
@@ -97,6 +98,27 @@ def test_shape_that_is_a_first_guess_need_not_take_as_much() -> None:
     assert criterion.may_take(tried("dead_zone@coil:7", 0.6 * enough))
     assert not criterion.may_take(tried("dead_zone@coil:7", 0.4 * enough))
     assert not criterion.may_take(tried("coil_gain@coil:7", 0.6 * enough))
+
+
+@pytest.mark.parametrize(
+    ("asked", "explained", "after", "helped"),
+    [
+        (True, False, 5.0, True),
+        (True, False, 9.5, False),  # it takes less than a tenth of what noise leaves
+        (True, True, 9.5, True),  # there is nothing left to take
+        (False, False, 10.1, True),  # it does nothing there
+        (False, False, 20.0, False),
+    ],
+)
+def test_held_out_records_must_have_smaller_errors_in_free_run(
+    asked: bool, explained: bool, after: float, helped: bool
+) -> None:
+    one = tried("coil_gain@coil:7", 1e5, replace(SURELY, asked=asked))
+    scatter = np.array([0.1, -0.2, 0.3, -0.1, -0.2, 0.1])
+    errors = [HeldError(10.0, 1.0, np.full(6, 10.0)), HeldError(after, 1.0, after + scatter)]
+    assert helps(one, *errors, explained, OPTIONS) is helped
+    drives = replace(one, effect=NAMED["cogging@beam"])  # it does not move the platform
+    assert helps(drives, *errors, explained, OPTIONS) is (after < 15.0)
 
 
 @pytest.mark.parametrize(

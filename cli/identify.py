@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .model_file_errors import naming_the_file
 from .output_folder_check import older_results, writable_folder
 from .progress import progress, say
 
@@ -155,13 +156,14 @@ def identify_logs(
 
     with progress("identifying") as report:
         chosen = options or Options()
-        found = study(
-            logs,
-            model_of,
-            chosen,
-            lambda what, share: report(what, 0.85 * share),
-            lambda remark: say(f"warning: {remark}"),
-        )
+        with naming_the_file(model):
+            found = study(
+                logs,
+                model_of,
+                chosen,
+                lambda what, share: report(what, 0.85 * share),
+                lambda remark: say(f"warning: {remark}"),
+            )
         # Save the model first: the results of a long fit survive an error in the report.
         out.mkdir(parents=True, exist_ok=True)
         if found.grey is not None:

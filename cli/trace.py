@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .model_file_errors import naming_the_file
 from .output_folder_check import quoted, same_logs, writable_folder
 from .progress import progress, say
 
@@ -128,9 +129,10 @@ def trace_logs(
     writable_folder(out, ("model.yaml", "index.html"), ("figures",))
     config = _model(model, logs)
     with progress("tracing") as report, _workers(config, workers, dask) as spread:
-        found = trace(
-            logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
-        )
+        with naming_the_file(model):
+            found = trace(
+                logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
+            )
         # Save the model first: the results of a long search survive an error in the report.
         written = None
         try:

@@ -225,15 +225,14 @@ def test_imported_logs_need_a_model(tmp_path: Path, levid: Command) -> None:
     assert "expected --model MODEL.yaml" in err
 
 
-def test_unknown_effect_is_reported_with_its_key(
+def test_unknown_effect_is_reported_with_its_file_and_key(
     flown: Path, tmp_path: Path, levid: Command
 ) -> None:
     text = (flown / "trace" / "model.yaml").read_text()
     wrong = tmp_path / "model.yaml"
     wrong.write_text(text.replace("rod_stiffness.cubic", "rod_stiffness.kubic"))
-    code, _, err = levid(
-        "trace", *logs(flown), "--model", wrong, "--out", tmp_path / "o", "--workers", 1
-    )
-    assert code == 1
-    assert "effects[0]: effect: expected" in err
-    assert "rod_stiffness.cubic" in err
+    for command in (("trace", "--workers", 1), ("identify",)):
+        code, _, err = levid(*command, *logs(flown), "--model", wrong, "--out", tmp_path / "o")
+        assert code == 1
+        assert f"{wrong}: effects[0]: effect: expected" in err
+        assert "rod_stiffness.cubic" in err

@@ -36,6 +36,10 @@ _MOST_OF_RATE: dict[Hold, float] = {"zoh": 0.177, "foh": 0.24, "band_limited": 0
 hold, which is 1 % at 0.177, and ^4 with a first-order hold. A band-limited input has none."""
 _NOISE_SHARE = 0.01
 """Largest part of noise in the power of an acceleration."""
+_NOISE_SHARE_OF_VELOCITY = 1e-4
+"""The same of a velocity: laws of it turn where it is small."""
+_WIDEST = 0.4
+"""Highest limit of positions and velocities over the rate."""
 _EDGE = 2.0
 """Rows left out at each end of a record, in periods of the upper limit."""
 _MOST_EDGE = 0.1
@@ -193,13 +197,27 @@ def acceleration_limit(experiment: Experiment, sd: Array) -> float:
 
     sd (n,): white noise of the outputs. Noise in a regressor lowers its coefficient by this share.
     """
+    return _derivative_limit(experiment, sd, 2, _NOISE_SHARE)
+
+
+def velocity_limit(experiment: Experiment, sd: Array) -> float:
+    """Return the frequency in Hz below which noise is 1 % of the RMS of every velocity.
+
+    It is 0.4 of the rate at most.
+    """
+    limit_hz = _derivative_limit(experiment, sd, 1, _NOISE_SHARE_OF_VELOCITY)
+    return min(limit_hz, _WIDEST / experiment.Ts_s)
+
+
+def _derivative_limit(experiment: Experiment, sd: Array, order: int, share: float) -> float:
+    """Return the frequency in Hz below which noise is a share of the power of a derivative."""
     Ts_s, rows = experiment.Ts_s, len(experiment.y)
     segment = max(rows // 4, min(rows, SHORTEST_ROWS))
     freq_hz, psd = welch(detrend(experiment.y, axis=0), 1 / Ts_s, nperseg=segment, axis=0)
-    curvature = freq_hz[:, None] ** 4
-    seen = np.cumsum(curvature * psd, axis=0)
-    noise = np.cumsum(curvature * 2.0 * Ts_s * sd**2 * np.ones_like(psd), axis=0)
-    good = np.all(noise <= _NOISE_SHARE * seen, axis=1)
+    squared = freq_hz[:, None] ** (2 * order)
+    seen = np.cumsum(squared * psd, axis=0)
+    noise = np.cumsum(squared * 2.0 * Ts_s * sd**2 * np.ones_like(psd), axis=0)
+    good = np.all(noise <= share * seen, axis=1)
     found = freq_hz[good][-1] if np.any(good) else 0.0
     return max(float(found), 4.0 / (rows * Ts_s))
 

@@ -50,7 +50,12 @@ class ForceModel:
 
 @dataclass(frozen=True)
 class ForceRecord:
-    """One record below a limit. `rows` of it count; `kept` are the signals at these rows."""
+    """One record below a limit. `rows` of it count; `kept` are the signals at these rows.
+
+    signals: below a limit of their own, from which the forces of effects are computed. A law is not
+    linear: of signals below the limit of the balance it would be a force that nothing has. What it
+    gives passes the low-pass of the balance as all other forces do.
+    """
 
     name: str
     band: BandLimited
@@ -61,11 +66,14 @@ class ForceRecord:
     _parts: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, record: TraceRecord, hold: Hold, cutoff_hz: float) -> ForceRecord:
-        """Return a record below a limit; raises IdentificationError if its schedule moves."""
+    def of(cls, record: TraceRecord, hold: Hold, cutoff_hz: float, law_hz: float) -> ForceRecord:
+        """Return a record below `cutoff_hz`, and its signals for laws below `law_hz`.
+
+        Raises IdentificationError if its schedule moves.
+        """
         e = record.experiment
         band = BandLimited.of(e, hold, cutoff_hz, _OVERSAMPLED)
-        q, qd, qdd = band.derivatives[:3]
+        q, qd, qdd = BandLimited.of(e, hold, law_hz, _OVERSAMPLED).derivatives[:3]
         none = np.zeros(len(q))
         signals = Signals(
             e.Ts_s, record.time_s, q, qd, qdd, record.coil, none, none, none, none, none, none,

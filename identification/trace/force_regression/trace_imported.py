@@ -20,6 +20,7 @@ from ...greybox.force_balance.band_limited_signals import (
     SHORTEST_ROWS,
     acceleration_limit,
     middle_limit,
+    velocity_limit,
 )
 from ...greybox.free_parameters import free_parameters
 from ...greybox.identify_greybox import stated_noise
@@ -124,8 +125,9 @@ def _traced(
     options = replace(options, blocks=_blocks(records, limit_hz, options))
     parts = [_split(r, options.reported) for r in records]
     train, kept = [p[0] for p in parts], [p[1] for p in parts]
-    fitted = tuple(ForceRecord.of(r, hold, limit_hz) for r in train)
-    reported = tuple(ForceRecord.of(r, hold, limit_hz) for r in kept)
+    law_hz = max(limit_hz, min(velocity_limit(r.experiment, sd) for r in records))
+    fitted = tuple(ForceRecord.of(r, hold, limit_hz, law_hz) for r in train)
+    reported = tuple(ForceRecord.of(r, hold, limit_hz, law_hz) for r in kept)
     places = records[0].places
     covered = extent(train)
     # Far below its resonance, an effect is a change of mass, stiffness and damping.
@@ -145,7 +147,7 @@ def _traced(
 
     progress("intervals", 0.9)
     others = [
-        _training_below(found.point, train, hold, limit_hz * _MIDDLE / step, options)
+        _training_below(found.point, train, hold, limit_hz * _MIDDLE / step, law_hz, options)
         for step in BAND_STEPS
         if step != _MIDDLE
     ]
@@ -204,10 +206,11 @@ def _training_below(
     train: Sequence[TraceRecord],
     hold: Hold,
     limit_hz: float,
+    law_hz: float,
     options: SearchOptions,
 ) -> Training:
     """Return the training records below another limit, weighed by the found model's residual."""
-    records = tuple(ForceRecord.of(r, hold, limit_hz) for r in train)
+    records = tuple(ForceRecord.of(r, hold, limit_hz, max(limit_hz, law_hz)) for r in train)
     missing = [r.missing_force(point) for r in records]
     centred = [m - m.mean(axis=0) for m in missing]
     white = whitening_of(centred, [r.band.row_s for r in records], limit_hz)

@@ -34,6 +34,7 @@ from levid.identification.subspace.response_uncertainty import SURE_95
 from levid.identification.trace.force_regression import force_trace_summary
 from levid.identification.trace.force_regression.trace_imported import trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.candidate_effects import all_effects
 
 Array = NDArray[np.float64]
@@ -184,7 +185,9 @@ def declared(plant: Plant, rng: Generator) -> ModelConfig:
     return parse({**plain, "B": np.diag(plant.values[3]).tolist()}, ModelConfig, "plant")
 
 
-def scored(name: str, seed: int) -> tuple[dict[str, float], list[bool], list[Statement]]:
+def scored(
+    name: str, seed: int, options: SearchOptions | None = None
+) -> tuple[dict[str, float], list[bool], list[Statement]]:
     """Return the score of a plant by keys of COLUMNS, whether each interval has the truth, and the
     names with their support."""
     rng, (simulate, effect) = np.random.default_rng(seed), PLANTS[name]
@@ -192,7 +195,7 @@ def scored(name: str, seed: int) -> tuple[dict[str, float], list[bool], list[Sta
     config, in_loop = declared(plant, rng), bool(np.any(plant.values[4:6]))
     record = Experiment(name, plant.Ts_s, u, y, {}, frozenset(), False, feedback=in_loop)
     records, start = [imported_trace_record(record, config)], time.perf_counter()
-    trace = trace_records(records, config, all_effects, lambda *_: None)
+    trace = trace_records(records, config, all_effects, lambda *_: None, options)
     seconds = time.perf_counter() - start
     summary = force_trace_summary.force_summary(trace)
     model = force_trace_summary.model_with_effects(trace)

@@ -26,6 +26,7 @@ from .residual.random_vibration import RandomVibration
 from .run_trace import Trace
 from .search.predictive_criterion import certainty
 from .search.tested_candidate import Round, Tried
+from .search_options import SearchOptions
 
 Array = NDArray[np.float64]
 
@@ -151,7 +152,8 @@ class Outcome:
     records, in noise variances; `beyond`: the same of the readings' non-rigid free-run error, None
     without redundant sensors. `nearest`: candidates of the last round that explain most, none
     significant. gone: accepted or declared effects removed because others explain the same.
-    noise_measured: the noise comes from still records.
+    noise_measured: the noise comes from still records. unpredicted: share of the one-step-ahead
+    errors above noise, before the search, that no effect takes; 0 where noise leaves as much.
     """
 
     effects: tuple[FoundEffect, ...]
@@ -169,6 +171,7 @@ class Outcome:
     noise_measured: bool = True
     actuators: frozenset[str] = frozenset()
     """Names of actuators that are located by their input's name instead of coil:N."""
+    unpredicted: float = 0.0
 
     @property
     def overrated(self) -> bool:
@@ -188,12 +191,15 @@ class Outcome:
 
     @property
     def doubtful(self) -> bool:
-        """Whether named effects are uncertain: the residual is large, and they explain little.
+        """Whether named effects are uncertain: much of what there was is not explained.
 
-        If the true effect is not in the table, the best candidate still explains a part of it.
+        If the true effect is not in the table, the best candidate still explains a part of it. What
+        is left is large, or as large a share of the prediction errors as an effect must take: an
+        equation that is right leaves far less.
         """
         named = any(not f.unknown for f in self.effects)
-        return named and self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED
+        large = self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED
+        return named and (large or self.unpredicted > SearchOptions().least_gain)
 
     def perhaps_part_of(self, found: FoundEffect) -> tuple[str, ...]:
         """Return the free forms at the same place as a known effect.
@@ -289,6 +295,7 @@ def outcome(trace: Trace) -> Outcome:
         ),
         trace.found.point.disturbance.measured,
         frozenset(w for w in trace.places.actuators if ":" not in w),
+        _unpredicted(trace),
     )
 
 
@@ -336,6 +343,7 @@ def summary(trace: Trace) -> dict[str, Any]:
                 "found": found.verdict,
                 "significant": found.significant,
                 "doubtful": found.doubtful,
+                "unpredicted": found.unpredicted,
                 "mean_square": found.mean_square,
                 "per_dof": {
                     d.name: {
@@ -450,6 +458,16 @@ def _evidence(rounds: Sequence[Round], supports: Mapping[str, float]) -> dict[st
         for number, r in enumerate(rounds, start=1)
         if r.taken is not None
     }
+
+
+def _unpredicted(trace: Trace) -> float:
+    """Return the share of the prediction errors above noise that no effect takes, 0 if it is noise.
+
+    Free forms take a part of it too: what they describe is not left.
+    """
+    first, train = trace.found.rounds[0], trace.found.train
+    there, left = first.excess / first.count, train.excess / float(train.count.sum())
+    return left / there if left > SearchOptions().visible and there > 0.0 else 0.0
 
 
 def _dof_errors(trace: Trace) -> tuple[DofError, ...]:

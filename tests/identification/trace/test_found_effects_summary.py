@@ -46,6 +46,15 @@ def test_effects_that_explain_little_of_a_large_error_are_in_doubt(
     assert found.verdict.startswith("perhaps: Cubic" if doubtful else "found: Cubic")
 
 
+@pytest.mark.parametrize(("left", "doubtful"), [(0.0, False), (0.02, False), (0.13, True)])
+def test_effects_that_leave_a_tenth_of_the_prediction_errors_are_in_doubt(
+    left: float, doubtful: bool
+) -> None:
+    """A cable chain's friction took 84 % of a covered beam's drag, and left 1.07 floors."""
+    assert replace(result(1.5, 1.07), unpredicted=left).doubtful is doubtful
+    assert not replace(result(1.5, 1.07, named=False), unpredicted=left).doubtful
+
+
 def test_effect_at_the_location_of_a_free_form_may_be_part_of_it() -> None:
     forms = freeform_effects(rig_places(), EXTENT)
     at_z, at_psi = (next(e for e in forms if e.where == (dof,)) for dof in ("z", "psi"))

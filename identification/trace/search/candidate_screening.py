@@ -68,9 +68,14 @@ def worth(tried: Tried, options: SearchOptions) -> float:
     return share * tried.gain - _PRICE * numbers(tried.effect)
 
 
-def told_apart(tried: Tried, best: Tried, options: SearchOptions) -> bool:
-    """Return whether a candidate gains so much less than another one that it need not be fitted."""
-    return best.gain - tried.gain >= max(options.alike * best.gain, options.least_squares)
+def told_apart(tried: Tried, best: Tried, options: SearchOptions, left: float = 0.0) -> bool:
+    """Return whether a candidate gains so much less than another one that it need not be fitted.
+
+    `left`: the squared errors above noise that nothing explains; two that differ by less than the
+    accuracy of an equation of these may change places once they are explained.
+    """
+    near = max(options.alike * best.gain, options.least_squares, options.accuracy * left)
+    return best.gain - tried.gain >= near
 
 
 def regressed(train: ColumnEvidence, number: int, tried: Tried) -> tuple[Tried, bool]:
@@ -129,7 +134,8 @@ def _taken(found: Round, options: SearchOptions) -> Round:
     about the accuracy of an equation, so that two may differ by twice as much as those.
     """
     winner = found.survivors[0]
-    near = max(2.0 * options.alike * winner.gain, options.least_squares)
+    left = options.accuracy * (found.excess - winner.gain)
+    near = max(2.0 * options.alike * winner.gain, options.least_squares, left)
     alike = [
         t
         for t in found.ranking

@@ -24,7 +24,7 @@ from .backward_elimination import removal_costs
 from .candidate_screening import told_apart
 from .equivalent_candidates import equivalents
 from .gauss_newton import FULLY, gather, refine
-from .predictive_criterion import tested
+from .predictive_criterion import is_worse, tested
 from .regression import ColumnEvidence
 from .separable_least_squares import with_fitted_shapes
 from .tested_candidate import Records, Round, Tried, numbers
@@ -58,6 +58,7 @@ def with_equals(
     told from an accepted one, it takes its place.
     """
     checked, later = list(rounds), equivalents(point, effects, records, options)
+    left = gather(point, records.train(point)).excess
     for number, one in enumerate(checked):
         taken = one.taken
         if taken is None or _placed(point, taken.effect) is None:
@@ -66,8 +67,8 @@ def with_equals(
         rivals = {t.effect.identity: t for t in both}
         if not rivals:
             continue
-        some = alike_along(point, taken.effect, tuple(rivals.values()), records, options)
-        equals = not_told_apart(in_place(point, taken, some, records), options)
+        some = alike_along(point, taken.effect, tuple(rivals.values()), records, options, left)
+        equals = _equals(in_place(point, taken, some, records), records, options, left)
         if equals[0].tried.effect is not taken.effect:
             taken = _in_its_place(equals[0], taken, records, options)
         point = equals[0].point
@@ -78,6 +79,24 @@ def with_equals(
             shares=_shares([m.squares for m in equals], options.resamples),
         )
     return point, tuple(checked)
+
+
+def _equals(
+    members: Sequence[Member], records: Records, options: SearchOptions, left: float
+) -> list[Member]:
+    """Return what is not told apart; nothing takes a place with a surely larger free-run error.
+
+    The first member is the accepted effect, which stays then.
+    """
+    some, own = list(members), members[0]
+    while True:
+        equals = not_told_apart(some, options, left)
+        first = equals[0]
+        if first is own or not is_worse(
+            records.held_error(first.point), records.held_error(own.point), options
+        ):
+            return equals
+        some = [m for m in some if m is not first]
 
 
 def _in_its_place(member: Member, taken: Tried, records: Records, options: SearchOptions) -> Tried:
@@ -95,6 +114,7 @@ def alike_along(
     rivals: Sequence[Tried],
     records: Records,
     options: SearchOptions,
+    left: float = 0.0,
 ) -> list[Tried]:
     """Return the rivals of an effect of the point that explain about as much in its place.
 
@@ -108,7 +128,7 @@ def alike_along(
         return []
     start = Tried(own.effect, own.shape, 0.0, np.zeros(1), own.amplitudes)
     itself, *others = with_fitted_shapes(point, [start, *asked], records, own)
-    return [t for t in others if not told_apart(t, itself, options)]
+    return [t for t in others if not told_apart(t, itself, options, left)]
 
 
 def in_place(
@@ -141,20 +161,22 @@ def in_place(
     return members
 
 
-def not_told_apart(members: Sequence[Member], options: SearchOptions) -> list[Member]:
+def not_told_apart(
+    members: Sequence[Member], options: SearchOptions, left: float = 0.0
+) -> list[Member]:
     """Return the simplest member that is not surely worse than the best, then its equals.
 
     Surely is by some standard errors of the sum of the differences over the blocks; a richer one
     must also be better by what any effect must take. One that is richer at the same place and not
     surely better is no equal: it can do what the simpler one does, as a dead zone that is wider
-    than all commands, and nothing asks for more.
+    than all commands, and nothing asks for more. `left`: the squared errors above noise that
+    nothing explains; a difference of less than a hundredth of these tells nothing.
     """
     best = min(members, key=lambda m: float(m.squares.sum()))
-    good = [
-        m for m in members if not _worse(m.squares, best.squares, options.least_squares, options)
-    ]
+    least = max(options.least_squares, options.accuracy * left)
+    good = [m for m in members if not _worse(m.squares, best.squares, least, options)]
     chosen = min(good, key=lambda m: (numbers(m.tried.effect), m is not members[0]))
-    same = max(_NOTHING, options.inexact * members[0].tried.gain)
+    same = max(_NOTHING, options.inexact * members[0].tried.gain, options.accuracy * left)
     equals = [
         m
         for m in members

@@ -54,7 +54,11 @@ def equivalents(
         return {}
     found = {}
     for own, rivals in _instead(point, asked, records, None):
-        equal = [t for t in rivals if np.isfinite(t.gain) and not told_apart(t, own, options)]
+        equal = [
+            t
+            for t in rivals
+            if np.isfinite(t.gain) and not told_apart(t, own, options, base.excess)
+        ]
         equal.sort(key=lambda t: -t.gain)
         found[own.effect.identity] = tuple(equal[: options.most_effects])
     return found

@@ -5,7 +5,8 @@ An effect is taken if
 1. blocks of time, each predicted by the others, agree with it beyond chance,
 2. held-out records lower their errors by it, where it should do more in them than chance does, and
    do not surely raise them elsewhere,
-3. it takes enough of the errors to matter.
+3. it takes enough to matter: of the free-run error of held-out records, or of the errors one step
+   ahead where these records do not show it.
 """
 
 from __future__ import annotations
@@ -49,19 +50,36 @@ class Criterion:
 
     def may_take(self, tried: Tried) -> bool:
         """Return whether a candidate at a first guess of its shape is worth a fit of that."""
-        return tried.gain > (HALF if tried.shape else 1.0) * self.worth(tried)
+        least = max(share_of(tried, self.options) ** 2 * self.excess, self._least(tried))
+        return tried.gain > (HALF if tried.shape else 1.0) * least
 
     def worth(self, tried: Tried) -> float:
-        """Return the squared errors that a candidate must take."""
+        """Return the squared errors one step ahead that a candidate must take.
+
+        Where held-out records show it, their free-run error tells whether it matters (`helps`):
+        what moves the platform slowly may hide among other errors of a step, of which it must take
+        the square of that share.
+        """
+        shown = tried.agreement.asked and not is_internal(tried.effect)
+        share = share_of(tried, self.options)
+        if shown and not self.visible:
+            share *= share
+        return max(share * self.excess, self.visible if shown else 0.0, self._least(tried))
+
+    def _least(self, tried: Tried) -> float:
+        """Return what is no chance, and more than the equations of others leave."""
         effect, options = tried.effect, self.options
-        share = options.least_free_gain if effect.effect_class == "unknown" else options.least_gain
-        worth = max(share * self.excess, options.inexact * self.explained, options.least_squares)
-        if tried.agreement.asked and not is_internal(effect):
-            worth = max(worth, self.visible)
+        worth = max(options.inexact * self.explained, options.least_squares)
         if effect.effect_class != FRICTION:
             rubbed = max((self.rubbed.get(w, 0.0) for w in effect.where), default=0.0)
             worth = max(worth, options.another_law * rubbed)
         return worth
+
+
+def share_of(tried: Tried, options: SearchOptions) -> float:
+    """Return the share of what noise does not explain that an effect must take to matter."""
+    is_free = tried.effect.effect_class == "unknown"
+    return options.least_free_gain if is_free else options.least_gain
 
 
 def confirmed(agreement: Agreement, options: SearchOptions) -> bool:
@@ -99,12 +117,12 @@ def helps(
 ) -> bool:
     """Return whether held-out records confirm an effect, by their free-run errors.
 
-    Where they should show it and are not `explained` without it, it must take as much of what noise
-    does not explain as of the errors one step ahead; elsewhere they must not surely rise. A mass on
-    a spring follows a line that shakes the platform one step ahead, and foretells nothing of it.
+    Where they should show it and are not `explained` without it, it must take its share of what
+    noise does not explain; elsewhere they must not surely rise. A mass on a spring follows a line
+    that shakes the platform one step ahead, and foretells nothing of it.
     """
     asked = tried.agreement.asked and not is_internal(tried.effect) and not explained
-    least = options.least_gain * max(before.squares - before.floor, 0.0)
+    least = share_of(tried, options) * max(before.squares - before.floor, 0.0)
     falls = before.squares - after.squares > least
     return not is_worse(after, before, options) and (falls or not asked)
 

@@ -10,6 +10,7 @@ import pytest
 
 from levid.identification.trace.search import effects_not_told_apart as module
 from levid.identification.trace.search.effects_not_told_apart import Member, not_told_apart
+from levid.identification.trace.search.tested_candidate import HeldError
 from levid.identification.trace.search_options import SearchOptions
 
 OPTIONS = SearchOptions()
@@ -102,3 +103,27 @@ def test_support_is_the_share_of_resamples_with_a_sure_gain(
     assert found["strong"] == 1.0
     # Its mean is 3.9 standard errors: most resamples are above three.
     assert 0.5 < found["weak"] < 1.0
+
+
+@pytest.mark.parametrize(("rises", "first"), [(False, "simple"), (True, "rich")])
+def test_simpler_effect_with_a_larger_free_run_error_takes_no_place(
+    rises: bool, first: str
+) -> None:
+    """A scale of all coils fitted a step as well as one of all sensors, and no motion."""
+    flat = np.full(BLOCKS, 1000.0)
+    rich, simple = member("rich", 4, flat, where="psi"), member("simple", 1, flat)
+
+    def held_error(point: object) -> HeldError:
+        blocks = np.linspace(1.0, 1.1, 6) + (5.0 if rises and point is simple.point else 0.0)
+        return HeldError(float(blocks.mean()), 1.0, blocks)
+
+    records = SimpleNamespace(held_error=held_error)
+    assert keys(module._equals([rich, simple], records, OPTIONS, 0.0))[0] == first  # type: ignore[arg-type]
+
+
+def test_difference_that_is_little_of_what_is_left_tells_nothing() -> None:
+    """A weight and a scale of all sensors, beside a sensor that sticks in a way no table has."""
+    flat, other = np.full(BLOCKS, 1000.0), np.full(BLOCKS, 1100.0)
+    members = [member("a", 1, flat, 1e4), member("b", 1, other)]
+    assert keys(not_told_apart(members, OPTIONS)) == ["a"]
+    assert keys(not_told_apart(members, OPTIONS, left=1e6)) == ["a", "b"]

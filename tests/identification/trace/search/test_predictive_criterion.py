@@ -75,10 +75,20 @@ def test_small_residual_of_friction_gives_no_further_effect_at_its_dof(
 def test_free_form_must_take_more_than_a_name() -> None:
     form = freeform_effects(rig_places(), Extent.typical(rig_places()))[0]
     criterion = Criterion(OPTIONS, 1e6, 0.0)
-    name = tried("coil_gain@coil:7", 1.5e5)
+    name = tried("coil_gain@coil:7", 1.5e5, Agreement(50.0, 1.0, 1.0, False))
     assert criterion.takes(name)
     assert not criterion.takes(replace(name, effect=form))
     assert criterion.takes(replace(name, effect=form, gain=2.5e5))
+
+
+def test_free_run_error_tells_whether_what_it_shows_matters() -> None:
+    """The weight of a beam takes 2 % of the prediction errors that a sticking sensor leaves."""
+    one = tried("beam_motion.gravity@theta", 2e4)
+    assert Criterion(OPTIONS, 1e6, 0.0).takes(one)
+    silent = replace(one, agreement=replace(SURELY, asked=False))
+    assert not Criterion(OPTIONS, 1e6, 0.0).takes(silent)
+    # Where the free run is explained there is nothing to take of it.
+    assert not Criterion(OPTIONS, 1e6, 0.0, visible=1e4).takes(one)
 
 
 def test_what_chance_gives_and_what_others_leave_is_too_little() -> None:

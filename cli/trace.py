@@ -170,14 +170,8 @@ def words(found: Trace) -> list[str]:
         parts = [f"{name} {b:.3g} % before, {a:.3g} % after" for name, b, a in pairs]
         lines = [f"free-run error on held-out records, over the output: {'; '.join(parts)}"]
     lines.append(result.verdict)
-    if result.doubtful:
-        left = (
-            f"{100 * result.unpredicted:.2g} % of the initial prediction errors remain"
-            if result.unpredicted
-            else f"the effects explain {100 * result.explained:.2g} % of the initial error; "
-            f"{result.after / result.floor:.2g} times the noise floor remains"
-        )
-        lines.append(f"unreliable: {left}. The cause may be an effect that the table lacks")
+    if result.doubt:
+        lines.append(f"unreliable: {result.doubt}. The cause may be an effect that the table lacks")
     for effect in result.effects:
         lines += _effect(effect)
         if result.perhaps_part_of(effect):

@@ -154,6 +154,7 @@ class Outcome:
     significant. gone: accepted or declared effects removed because others explain the same.
     noise_measured: the noise comes from still records. unpredicted: share of the one-step-ahead
     errors above noise, before the search, that no effect takes; 0 where noise leaves as much.
+    least_gain: that of the search options.
     """
 
     effects: tuple[FoundEffect, ...]
@@ -172,6 +173,7 @@ class Outcome:
     actuators: frozenset[str] = frozenset()
     """Names of actuators that are located by their input's name instead of coil:N."""
     unpredicted: float = 0.0
+    least_gain: float = SearchOptions.least_gain
 
     @property
     def overrated(self) -> bool:
@@ -197,9 +199,23 @@ class Outcome:
         is left is large, or as large a share of the prediction errors as an effect must take: an
         equation that is right leaves far less.
         """
-        named = any(not f.unknown for f in self.effects)
-        large = self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED
-        return named and (large or self.unpredicted > SearchOptions().least_gain)
+        return any(not f.unknown for f in self.effects) and bool(self._doubt)
+
+    @property
+    def doubt(self) -> str:
+        """Why named effects are uncertain, in words; empty if they are not."""
+        return self._doubt if self.doubtful else ""
+
+    @property
+    def _doubt(self) -> str:
+        if self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED:
+            return (
+                f"the effects explain {100 * self.explained:.2g} % of the squared error above "
+                f"noise, and {self.after / self.floor:.2g} times the noise floor is left"
+            )
+        if self.unpredicted > self.least_gain:
+            return f"{100 * self.unpredicted:.2g} % of the prediction errors above noise are left"
+        return ""
 
     def perhaps_part_of(self, found: FoundEffect) -> tuple[str, ...]:
         """Return the free forms at the same place as a known effect.
@@ -296,6 +312,7 @@ def outcome(trace: Trace) -> Outcome:
         trace.found.point.disturbance.measured,
         frozenset(w for w in trace.places.actuators if ":" not in w),
         _unpredicted(trace),
+        trace.options.least_gain,
     )
 
 
@@ -467,7 +484,7 @@ def _unpredicted(trace: Trace) -> float:
     """
     first, train = trace.found.rounds[0], trace.found.train
     there, left = first.excess / first.count, train.excess / float(train.count.sum())
-    return left / there if left > SearchOptions().visible and there > 0.0 else 0.0
+    return left / there if left > trace.options.visible and there > 0.0 else 0.0
 
 
 def _dof_errors(trace: Trace) -> tuple[DofError, ...]:

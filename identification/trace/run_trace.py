@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -75,6 +75,7 @@ class Trace:
     shaken: tuple[RandomVibration, ...] = ()
     records: tuple[RecordSource, ...] = ()
     """All complete records, fitted and held out."""
+    options: SearchOptions = field(default_factory=SearchOptions)
 
 
 def trace(
@@ -157,7 +158,7 @@ def _trace(
         shaken = _shaken(found.point, logged, workers)
     return Trace(
         config, places, declared, found, begun.fitted, begun.held,
-        tuple(before), tuple(after), notes, shaken, begun.records,
+        tuple(before), tuple(after), notes, shaken, begun.records, options,
     )  # fmt: skip
 
 

@@ -14,15 +14,13 @@ class SearchOptions:
     but each also has to take `least_gain`, and to keep its sign in other records.
 
     least_gain: share of what noise does not explain that an effect must take to matter (0.1 is 5 %
-    of the RMS error). least_free_gain: the same for a free form, which fits a little of everything.
+    of the RMS error): of the free-run error of held-out records, of which one step ahead its square
+    is enough; else of the errors that it is fitted to. least_free_gain: the same for a free form,
+    which fits a little of everything.
 
-    accuracy: the relative error of an equation that is right. Its square is what an effect leaves
-    of what it takes, and anything smaller beside it is that; half of it the force that a held input
-    is known to between samples, and twice of it the difference below which two are fitted to be
-    compared.
-
-    law_accuracy: the same of a law of friction that stands for another one, such as eight slip
-    elements for twenty.
+    accuracy: relative error of an equation that is right, from which follow `inexact`, `alike`,
+    `visible` and `least_force`. law_accuracy: the same of a law of friction that stands for another
+    one, such as eight slip elements for twenty.
 
     explained, much_left: RMS errors over those of noise alone below which records are explained,
     and above which free forms are asked; also the ratio at which a fit with weights is worse than
@@ -73,7 +71,7 @@ class SearchOptions:
 
     @property
     def inexact(self) -> float:
-        """Share of the squared errors that an equation leaves of what it takes."""
+        """Share of the squared errors that an equation leaves of those it takes."""
         return self.accuracy**2
 
     @property
@@ -97,7 +95,11 @@ class SearchOptions:
 
     @property
     def least_force(self) -> float:
-        """Force over that of the inputs that an effect must change."""
+        """Least change of the RMS missing force by an effect, over the force of the inputs.
+
+        Below the limit of the force balance, what a held input does between samples is known to the
+        accuracy of an equation at worst.
+        """
         return 0.5 * self.accuracy
 
     @property

@@ -335,7 +335,8 @@ def together(placed: Sequence[Placed], signals: Signals) -> Term:
     there = with_sensor_arms(arms, signals)
     found = total([p.term(there) for p in placed if id(p) not in common])
     if arms and found.held is not None:
-        longer = 1.0 + _relative_arms(arms, "coil_arms", found.held.shape[1])
+        errors = [(p.effect.coil_arms, p.amplitudes[0]) for p in arms]
+        longer = 1.0 + _by_dof(errors, found.held.shape[1])
         found = replace(found, held=longer * found.held)
     found = total([found, *(p.term(signals) for p in arms)])
     if scales and found.gap is not None:
@@ -346,17 +347,17 @@ def together(placed: Sequence[Placed], signals: Signals) -> Term:
 
 def with_sensor_arms(placed: Sequence[Placed], signals: Signals) -> Signals:
     """Return the signals with heights where the sensors stand by what was found of their arms."""
-    if not any(p.effect.sensor_arms for p in placed):
+    errors = [(p.effect.sensor_arms, p.amplitudes[0]) for p in placed if p.effect.sensor_arms]
+    if not errors:
         return signals
-    arms = _relative_arms(placed, "sensor_arms", signals.q.shape[1])
-    return replace(signals, sensor_arms=tuple(arms.tolist()))
+    return replace(signals, sensor_arms=tuple(_by_dof(errors, signals.q.shape[1]).tolist()))
 
 
-def _relative_arms(placed: Sequence[Placed], of: str, count: int) -> Array:
-    """Return the relative errors of arms of sensors or coils by DOF (n,)."""
+def _by_dof(errors: Sequence[tuple[tuple[int, ...], float]], count: int) -> Array:
+    """Return relative errors of arms by DOF (n,), of (DOF, error) of each effect."""
     arms = np.zeros(count)
-    for p in placed:
-        arms[list(getattr(p.effect, of))] += p.amplitudes[0]
+    for dof, error in errors:
+        arms[list(dof)] += error
     return arms
 
 

@@ -75,17 +75,11 @@ def _words(result: Outcome, views: Views) -> list[Text]:
         )
     if not result.noise_measured:
         texts.append(Text(NO_STILL))
-    if result.doubtful:
-        left = (
-            f"{100 * result.unpredicted:.2g} % of the prediction errors above noise are left"
-            if result.unpredicted
-            else f"the effects explain {100 * result.explained:.2g} % of the squared error that "
-            "there was to explain, and much is left"
-        )
+    if result.doubt:
         texts.append(
             Text(
-                f"All of this is in doubt: {left}. The best of a table that lacks what is there "
-                "takes something too; these may stand for it."
+                f"All of this is in doubt: {result.doubt}. The best of a table that lacks what is "
+                "there takes something too; these may stand for it."
             )
         )
     if result.effects:

@@ -1,6 +1,6 @@
 """Remove effects by backward elimination: stand-ins, guesses, and effects made redundant.
 
-An effect stays if the model, fitted again without it, loses what an effect must take to be added.
+What the model loses without an effect, fitted again, decides by the numbers of the search options.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def without_guide(
     """Remove the last effect if it only served to find the others.
 
     A fit ends in the valley that it began in. Beside another effect what was found before may come
-    out of it, and then needs no other: without it less is lost than a name is worth of what was
-    there `before`, in squared errors above noise. None where it is not.
+    out of it, and then needs no other. None if more is lost without it than an effect must take of
+    `before`, the squared errors above noise before it.
     """
     *others, _ = point.placed
     if not others:

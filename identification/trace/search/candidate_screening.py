@@ -8,6 +8,7 @@ of these is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -61,8 +62,8 @@ def screened(
 def worth(tried: Tried, options: SearchOptions) -> float:
     """Return what a candidate gains beyond the price of its numbers.
 
-    A product of two signals has room for what one of them
-    does alone, and for chance: what it gains more than that has to be worth describing by itself.
+    A product of two signals has room for what one of them does alone, and for chance: what it gains
+    more than that has to be worth describing by itself.
     """
     share = 1.0 - options.least_gain if is_product(tried.effect) else 1.0
     return share * tried.gain - _PRICE * numbers(tried.effect)
@@ -130,8 +131,8 @@ def _fitted(point: WorkingPoint, some: Sequence[Sequence[Tried]], records: Recor
 def _taken(found: Round, options: SearchOptions) -> Round:
     """Return the round with its first survivor taken, and those that gain nearly as much.
 
-    Along the trajectories of the point each gains what it gains in a fit of the whole model to
-    about the accuracy of an equation, so that two may differ by twice as much as those.
+    Along fixed trajectories a gain is known less accurately than from a fit of the whole model: two
+    may differ by twice as much as in `told_apart`.
     """
     winner = found.survivors[0]
     left = options.accuracy * (found.excess - winner.gain)
@@ -143,7 +144,4 @@ def _taken(found: Round, options: SearchOptions) -> Round:
         and (t.shape or t.effect.effect_class != "unknown")
         and worth(winner, options) - worth(t, options) < near
     ]
-    return Round(
-        found.excess, found.count, found.ranking, found.survivors, winner,
-        tuple(alike[: options.most_effects]),
-    )  # fmt: skip
+    return replace(found, taken=winner, alternatives=tuple(alike[: options.most_effects]))

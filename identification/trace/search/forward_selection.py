@@ -61,8 +61,9 @@ def grown(
     """Add effects while held-out records confirm them.
 
     It ends with `most` effects more, or with held-out errors of `enough` times what noise leaves.
-    Every round tries all candidates by regression, fits the few that explain most, model and all,
-    and takes the best of those.
+    Every round ranks all candidates by regression, fits and tests those that explain most along the
+    trajectories of the point, and fits the best of these with the whole model. It is taken if it
+    passes the test again.
     """
     point, error, _ = begun
     rounds = list(begun.rounds)

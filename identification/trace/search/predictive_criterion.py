@@ -86,7 +86,7 @@ def confirmed(agreement: Agreement, options: SearchOptions) -> bool:
     """Return whether data that did not fit an effect agree with it.
 
     Held-out records that agree by more than half of what is expected have smaller errors with it.
-    Those that are not asked must not be surely larger.
+    The errors of those that are not asked must not be surely larger.
     """
     lowers_by = agreement.held - 0.5 * agreement.expected
     least = 0.0 if agreement.asked else -options.standard_errors
@@ -130,13 +130,15 @@ def helps(
 def is_worse(one: HeldError, other: HeldError, options: SearchOptions) -> bool:
     """Return whether a free-run error of the held-out records is surely above another one.
 
-    Surely is by the standard errors of the options, of the sum over blocks of time.
+    Surely is by the standard errors of the options, of the sum over blocks of time. One block alone
+    tells nothing, unless the simulation diverges.
     """
     if not np.isfinite(one.squares):
         return True
     rise = one.blocks - other.blocks
-    surely = options.standard_errors * rise.std() * np.sqrt(len(rise))
-    return bool(rise.sum() > surely)
+    if len(rise) < 2:
+        return False
+    return bool(rise.sum() > options.standard_errors * rise.std(ddof=1) * np.sqrt(len(rise)))
 
 
 def _agreement(

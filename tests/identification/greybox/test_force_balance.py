@@ -10,7 +10,10 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.experiment_from_log import Experiment
-from levid.identification.greybox.force_balance.band_limited_signals import upper_limit
+from levid.identification.greybox.force_balance.band_limited_signals import (
+    upper_limit,
+    velocity_limit,
+)
 from levid.identification.greybox.force_balance.instrumental_variables import (
     ForceBalance,
     fit_force_balance,
@@ -105,3 +108,16 @@ def test_moving_schedule_is_refused() -> None:
     with pytest.raises(IdentificationError, match="expected a constant schedule"):
         fitted(moving, clean)
     assert np.isnan(force_percent(declared_model(CONFIG), [moving], "zoh")).all()
+
+
+def test_velocity_limit_is_where_noise_is_a_hundredth_of_the_velocity() -> None:
+    rng, t = np.random.default_rng(2), TS * np.arange(ROWS)
+    amplitude_m, f_hz, sd_m = 0.01, 2.0, 2e-6
+    y = (amplitude_m * np.sin(2 * np.pi * f_hz * t) + sd_m * rng.normal(size=ROWS))[:, None]
+    e = Experiment("r", TS, np.zeros((ROWS, 1)), y, {}, frozenset(), False)
+    # Noise below f has the power 8 pi^2 Ts sd^2 f^3 / 3 of a velocity.
+    power = 0.5 * (2 * np.pi * f_hz * amplitude_m) ** 2
+    expected = (1e-4 * 3.0 * power / (8.0 * np.pi**2 * TS * sd_m**2)) ** (1.0 / 3.0)
+    # The grid of Welch's segments is 0.25 Hz, and their window leaks a few per cent of a line.
+    assert velocity_limit(e, np.array([sd_m])) == pytest.approx(expected, rel=0.05)
+    assert velocity_limit(e, np.array([1e-9])) == 0.4 / TS

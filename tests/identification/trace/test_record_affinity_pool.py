@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -30,8 +31,11 @@ def nothing() -> None:
     """Begin a worker."""
 
 
-def process(_: object, seconds: float = 0.0) -> int:
-    time.sleep(seconds)
+def process(_: object, gate: Path | None = None) -> int:
+    """Return this process once a file exists."""
+    end_s = time.monotonic() + TIMEOUT_S
+    while gate is not None and not gate.exists() and time.monotonic() < end_s:
+        time.sleep(0.01)
     return os.getpid()
 
 
@@ -58,15 +62,22 @@ def test_record_stays_with_its_process_and_each_has_half(pool: RecordAffinityPoo
     assert sorted(Counter(rounds[0].values()).values()) == [2, 2]
 
 
-def test_another_process_helps_a_home_that_has_too_much_to_do(pool: RecordAffinityPool) -> None:
-    record = Named("long", 100)
-    futures = [pool.submit(process, record, 0.2) for _ in range(6)]
+def test_another_process_helps_a_home_that_has_too_much_to_do(
+    pool: RecordAffinityPool, tmp_path: Path
+) -> None:
+    record, gate = Named("long", 100), tmp_path / "open"
+    futures = [pool.submit(process, record, gate) for _ in range(6)]
+    gate.touch()  # none was done before the last was placed
     used = Counter(f.result(TIMEOUT_S) for f in futures)
     assert sorted(used.values()) == [2, 4]  # one reads the record again only if that is faster
 
 
-def test_tasks_without_a_record_go_where_there_is_least_to_do(pool: RecordAffinityPool) -> None:
-    futures = [pool.submit(process, None, 0.2) for _ in range(4)]
+def test_tasks_without_a_record_go_where_there_is_least_to_do(
+    pool: RecordAffinityPool, tmp_path: Path
+) -> None:
+    gate = tmp_path / "open"
+    futures = [pool.submit(process, None, gate) for _ in range(4)]
+    gate.touch()
     assert sorted(Counter(f.result(TIMEOUT_S) for f in futures).values()) == [2, 2]
 
 

@@ -21,10 +21,12 @@ from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .operating_range import Extent
 from .point_force_conversion import heights
 
-_LEVELS = tuple(0.5 * k for k in range(6, 29))
-"""Start values of the largest command over the step: half a step apart at the largest command."""
 _FEWEST_LEVELS, _MOST_LEVELS = 2.0, 60.0
-"""Bounds of the same. With fewer levels, a dead zone or a saturation looks like a converter."""
+"""Bounds of the largest command over the step. With fewer levels, a dead zone or a saturation looks
+like a converter."""
+_LEVELS = tuple(0.5 * k for k in range(6, round(2 * _MOST_LEVELS)))
+"""Start values of the same: half a step apart at the largest command, as the rounding of two steps
+farther apart has nothing in common."""
 _TWO_AMPLITUDES = "excitation of one actuator at a time, at two amplitudes"
 _LINEAR = "the part linear around the mean command: gain; the mean: constant force"
 
@@ -34,9 +36,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     if places.beam:
         return []
     found = []
-    unit, largest = places.coil_unit, extent.command
     for c in range(places.coils):
-        where = (places.actuator(c),)
+        where, unit, largest = (places.actuator(c),), places.coil_unit, extent.largest_command((c,))
         for name, title, equation, power in (
             ("squared", "Actuator with a squared characteristic", "force = F + a F |F|", 2),
             ("quadratic", "Quadratic nonlinearity of an actuator", "force = F + a F^2", 2),
@@ -56,20 +57,19 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     told_apart_by=_TWO_AMPLITUDES,
                 )
             )
-        if places.coil_shape.shape[1] == len(places.dof):
-            found.append(
-                Effect(
-                    "actuator.times_speed",
-                    "Force of an actuator that falls with the speed",
-                    "actuator_nonlinearity",
-                    where,
-                    "force = F + a F q', q' the speed at the actuator as the command acts",
-                    (Quantity("a", f"s/{places.sensor_unit}"),),
-                    partial(_times_speed, coil=c),
-                    absorbed_by="mean command times speed: the declared damping",
-                    told_apart_by="excitation around several constant commands",
-                )
+        found.append(
+            Effect(
+                "actuator.times_speed",
+                "Force of an actuator that falls with the speed",
+                "actuator_nonlinearity",
+                where,
+                "force = F + a F q', q' the speed at the actuator as the command acts",
+                (Quantity("a", f"s/{places.actuator_unit(c)}"),),
+                partial(_times_speed, coil=c),
+                absorbed_by="mean command times speed: the declared damping",
+                told_apart_by="excitation around several constant commands",
             )
+        )
         found.append(
             Effect(
                 "actuator.quantised",
@@ -118,7 +118,7 @@ def _whole_step(_depth: Sequence[float], shape: Sequence[float]) -> tuple[float,
 def speed_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
     """Return the actuators' speeds (N, len(coils)) when each row's command acts, lag included."""
     ahead = signals.qd + signals.lag_s * signals.qdd
-    return signals.when_acting(heights(ahead, signals.places.coil_shape[list(coils)]))
+    return signals.when_acting(heights(ahead, signals.places.actuator_motion[list(coils)]))
 
 
 def _single(unit: str) -> str:

@@ -66,6 +66,10 @@ class Places:
     force_units: tuple[str, ...] = ()
     """Units of the generalised forces (n,), if they are not those of the inputs."""
 
+    input_motion: Array | None = None
+    """Motion of each actuator per unit of pose (C, n), where it is not that of coil_shape: of an
+    actuator that pushes one DOF, that DOF."""
+
     @property
     def coils(self) -> int:
         """Number of actuators, C."""
@@ -75,6 +79,17 @@ class Places:
     def sensors(self) -> int:
         """Number of sensors, S."""
         return len(self.sensor_shape)
+
+    @property
+    def actuator_motion(self) -> Array:
+        """Motion of each actuator along its force, per unit of pose (C, n)."""
+        return self.coil_shape if self.input_motion is None else self.input_motion
+
+    def actuator_unit(self, index: int) -> str:
+        """Unit of the motion of an actuator: that of the DOF that it pushes most."""
+        if self.input_motion is None:
+            return self.sensor_unit
+        return self.dof_units[int(np.argmax(np.abs(self.input_motion[index])))]
 
     @property
     def decoupling(self) -> Array:

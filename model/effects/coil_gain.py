@@ -41,7 +41,8 @@ def effects(places: Places) -> list[Effect]:
         )
         if _has_height(places):
             found += [_constant(places, (c,), power) for power in (1, 2)]
-    if _has_height(places) and places.coils > 1:
+    one_unit = len({places.actuator_unit(c) for c in range(places.coils)}) == 1
+    if _has_height(places) and places.coils > 1 and one_unit:
         found += [_constant(places, tuple(range(places.coils)), power) for power in (1, 2)]
     return found
 
@@ -51,7 +52,7 @@ def _constant(places: Places, coils: tuple[int, ...], power: int) -> Effect:
         1: ("linear", "Force constant that changes with the height"),
         2: ("quadratic", "Force constant that changes with the height squared"),
     }[power]
-    unit = places.sensor_unit
+    unit = places.actuator_unit(coils[0])
     suffix = ", same for all coils" if len(coils) > 1 else ""
     return Effect(
         f"force_constant.{name}",
@@ -69,7 +70,7 @@ def _constant(places: Places, coils: tuple[int, ...], power: int) -> Effect:
 
 
 def _has_height(places: Places) -> bool:
-    return bool(places.coil_shape.shape[1] == len(places.dof))
+    return bool(places.actuator_motion.shape[1] == len(places.dof))
 
 
 def _times_height(
@@ -89,4 +90,4 @@ def _times_height(
 def height_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
     """Return the coils' heights (N, len(coils)) when each row's command acts, lag included."""
     ahead = signals.q + signals.lag_s * signals.qd
-    return signals.when_acting(heights(ahead, signals.places.coil_shape[list(coils)]))
+    return signals.when_acting(heights(ahead, signals.places.actuator_motion[list(coils)]))

@@ -35,12 +35,13 @@ _TOLD_APART = "excitation of the coils one by one, at two amplitudes"
 def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return dead zone and saturation of every coil, and common ones of all coils."""
     found = []
-    unit, largest = places.coil_unit, extent.command
+    unit = places.coil_unit
     limits = _LIMITS[:1] if places.beam else _LIMITS
     single = [((c,), "") for c in range(places.coils)]
     together = [(tuple(range(places.coils)), ", same for all coils")] if places.coils > 1 else []
     for coils, suffix in single + together:
         where = tuple(places.actuator(c) for c in coils)
+        largest = extent.largest_command(coils)
         found += [
             Effect(
                 "dead_zone",

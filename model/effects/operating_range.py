@@ -18,6 +18,7 @@ _TYPICAL_HZ = 5.0
 _TYPICAL_COMMAND = 12.0
 _TYPICAL_BEAM_M = 0.2
 _TYPICAL_LATE_S = 2e-3
+_SLOWEST_HZ, _OCTAVES = 1e-3, 6
 _RESOLVED = 0.4
 """Largest resolvable frequency over the sampling rate."""
 
@@ -27,7 +28,8 @@ class Extent:
     """Range of motion, commands and time in the records of a session, in the plant's units.
 
     reach, speed (n,): RMS deviation and speed of each DOF, in the record with the largest ones.
-    gap: RMS motion at a sensor. command: largest actuator command. beam_m: travel of the beam.
+    gap: RMS motion at a sensor. command: largest actuator command. largest: that of each actuator,
+    if known. beam_m: travel of the beam.
     spans_s: begin and end of each record, in the session's time. stuck: sensors with frozen
     readings while the platform moves. tones_hz: frequencies of the lines to search. middle (n,),
     beam_middle_m: mean position of each DOF and of the beam, rounded to a tenth of their motion.
@@ -55,6 +57,25 @@ class Extent:
     resonances: tuple[tuple[str, float, float], ...] = ()
     beam_rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
     dof_resonances: tuple[tuple[int, float, float], ...] = ()
+    largest: tuple[float, ...] = ()
+
+    def largest_command(self, coils: Sequence[int]) -> float:
+        """Return the largest command of some actuators: inputs can have different units."""
+        return max((self.largest[c] for c in coils if self.largest), default=0.0) or self.command
+
+    @property
+    def slowest_hz(self) -> float:
+        """Lowest frequency of which the longest record has a whole cycle."""
+        longest = max((end - begin for begin, end in self.spans_s), default=0.0)
+        return 1.0 / longest if longest > 0.0 else _SLOWEST_HZ
+
+    def resonance_starts_hz(self) -> tuple[float, ...]:
+        """Return start values of a resonance, a third of an octave apart, at most six octaves below
+        the highest frequency; none if the records do not bound it."""
+        if math.isinf(self.fastest_hz):
+            return ()
+        starts = (self.fastest_hz / 2.0 ** (k / 3.0) for k in range(1, 3 * _OCTAVES + 1))
+        return tuple(f for f in starts if f > 2.0 * self.slowest_hz)
 
     def around(self, dof: int) -> float:
         """Return the mean position of a DOF."""
@@ -102,6 +123,7 @@ class Extent:
             resonances,
             _beam_rates(records),
             dof_resonances,
+            tuple(np.max([np.abs(r.coil).max(axis=0) for r in records], axis=0).tolist()),
         )
 
 

@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 
 _EVALUATIONS = 25
 _DIFFERENCE = 1e-3
+_INSIDE = 1e-6
+_SHARE, _SHARE_LOG = 0.25, 1.0
+"""First steps of a fit: of the distance of the bounds, and of a logarithm."""
 _FELL = 1e-4
 
 
@@ -115,14 +118,11 @@ def fitted_candidate(
 
     x = _coordinates(effect.shape, shape)
     if len(x):
-        low = _coordinates(effect.shape, [q.low for q in effect.shape])
-        high = _coordinates(effect.shape, [q.high for q in effect.shape])
-        inside = 1e-6 * (high - low)
         found = least_squares(
             residual,
-            np.clip(x, low + inside, high - inside),
-            bounds=(low, high),
-            x_scale=[1.0 if q.log else 0.25 * (q.high - q.low) for q in effect.shape],
+            np.clip(x, 1.0 + _INSIDE, 2.0 - _INSIDE),
+            bounds=(1.0, 2.0),
+            x_scale=[_SHARE_LOG / _reach(q) if q.log else _SHARE for q in effect.shape],
             diff_step=np.full(len(x), _DIFFERENCE),
             max_nfev=_EVALUATIONS,
             ftol=_FELL,
@@ -162,11 +162,26 @@ def _amplitudes(
 
 
 def _coordinates(quantities: Sequence[Quantity], shape: Sequence[float]) -> Array:
-    tiny = np.finfo(float).tiny
+    """Return shape parameters, or their logarithms, from 1 at the lower bound to 2 at the upper.
+
+    Differences are in proportion to a coordinate, so none may be zero.
+    """
     pairs = zip(quantities, shape, strict=True)
-    return np.array([np.log(max(v, tiny)) if q.log else v for q, v in pairs])
+    return np.array([1.0 + (_plain(q, v) - _plain(q, q.low)) / _reach(q) for q, v in pairs])
 
 
 def _shape(quantities: Sequence[Quantity], x: Array) -> Shape:
-    pairs = zip(quantities, x.tolist(), strict=True)
-    return tuple(float(np.clip(np.exp(v) if q.log else v, q.low, q.high)) for q, v in pairs)
+    found = []
+    for q, at in zip(quantities, x.tolist(), strict=True):
+        value = _plain(q, q.low) + (at - 1.0) * _reach(q)
+        found.append(float(np.clip(np.exp(value) if q.log else value, q.low, q.high)))
+    return tuple(found)
+
+
+def _plain(q: Quantity, value: float) -> float:
+    return float(np.log(max(value, np.finfo(float).tiny))) if q.log else value
+
+
+def _reach(q: Quantity) -> float:
+    """Return the distance of the bounds, of their logarithms where the fit is in these."""
+    return _plain(q, q.high) - _plain(q, q.low) or 1.0

@@ -42,7 +42,7 @@ _ONE_LAW = "friction"
 class Rated:
     """A candidate with fitted numbers, and its gain over the model at that time.
 
-    left: what the model with it leaves of the weighed missing force of each record (rows, n). share
+    share
     and force: the part of the squared missing force that it takes, and by how much it lowers the
     RMS missing force over the acting force, at the DOF where that is most. instead_of: the effect
     whose place it takes. contenders: all that were fitted in the same round. `alternatives` are not
@@ -52,7 +52,6 @@ class Rated:
 
     placed: Placed
     gain: Gain
-    left: tuple[Array, ...]
     share: float
     force: float
     instead_of: Placed | None = None
@@ -178,18 +177,24 @@ def _ranking(
 def _with_best(
     state: _State, ranking: Sequence[Rated], training: Training, options: SearchOptions
 ) -> _State | None:
-    """Return the state with the best confirmed candidate whose fit does what was foretold.
-
-    Gains are foretold by a line; the fit of all numbers may end elsewhere.
-    """
+    """Return the state with the best confirmed candidate whose fit does what was foretold."""
     plain = training.plain()
     before = missing_share(plain.at(state.point))
-    for chosen in ranking:
-        if confirmed(chosen, options):
-            after = _with(state, chosen, ranking, training, options)
-            lowered = before - missing_share(plain.at(after.point))
-            if lowered.max() > options.least_force:
-                return after
+    first = next((r for r in ranking if confirmed(r, options)), None)
+    if first is None:
+        return None
+    kept = tuple(p for p in state.point.placed if p is not first.instead_of)
+    beside = replace(state.point, placed=kept)
+    for chosen, point in _fitted_rivals(beside, first, ranking, training, options):
+        lowered = before - missing_share(plain.at(point))
+        if lowered.max() > options.least_force:
+            rated = {
+                key: r
+                for key, r in state.rated.items()
+                if first.instead_of is None or key != first.instead_of.effect.identity
+            }
+            rated[chosen.placed.effect.identity] = chosen
+            return _State(point, rated, state.dropped)
     return None
 
 
@@ -201,57 +206,100 @@ def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
     return [e for e in fresh if e.effect_class != _ONE_LAW or not rubbed.intersection(e.where)]
 
 
-def _with(
-    state: _State,
-    chosen: Rated,
+def _fitted_rivals(
+    beside: ForceModel,
+    first: Rated,
     ranking: Sequence[Rated],
     training: Training,
     options: SearchOptions,
-) -> _State:
-    """Return the state with the simplest of those that are not told apart from `chosen`."""
-    best = with_alternatives(chosen, ranking, training.blocks, options)
-    kept = tuple(p for p in state.point.placed if p is not best.instead_of)
-    rated = dict(state.rated)
-    if best.instead_of is not None:
-        rated.pop(best.instead_of.effect.identity, None)
-    rated[best.placed.effect.identity] = best
-    point = training.fit(replace(state.point, placed=(*kept, best.placed)))
-    return _State(point, rated, state.dropped)
+) -> list[tuple[Rated, ForceModel]]:
+    """Return the confirmed candidates with the fitted model of each, the one to take first.
 
-
-def with_alternatives(
-    chosen: Rated, ranking: Sequence[Rated], blocks: Blocks, options: SearchOptions
-) -> Rated:
-    """Return the simplest of those that are not told from `chosen`, with the others beside it."""
-    alike = [
-        r
-        for r in ranking
-        if r is chosen or (r.instead_of is chosen.instead_of and _alike(chosen, r, blocks))
-    ]
-    alike = [r for r in alike if confirmed(r, options)]
-    first = min(alike, key=lambda r: (r.numbers, _order(r)))
-    rng = np.random.default_rng(0)
-    gains = np.array([r.gain.raw for r in ranking])
-    picks = rng.integers(gains.shape[1], size=(options.resamples, gains.shape[1]))
-    means = gains[:, picks].mean(axis=2)
-    wins = np.where(means.max(axis=0) > 0.0, np.argmax(means, axis=0), -1)
-    kinds = [(r.placed.effect.effect_class, r.placed.effect.where) for r in ranking]
-    won = [float(np.mean(wins == i)) for i in range(len(ranking))]
-    named = {
-        id(r): sum(w for w, other in zip(won, kinds, strict=True) if other == kind)
-        for r, kind in zip(ranking, kinds, strict=True)
-    }
-    others = tuple(replace(r, support=named[id(r)]) for r in alike if r is not first)
+    `beside` is the model without them. Gains are foretold by a line, and a large effect moves the
+    model's other numbers: so candidates are compared where the fit with each of them ends. What is
+    not surely worse than the best is not told apart from it. Of these the one with the fewest
+    numbers comes first, and has the others as its alternatives, but for richer laws at its place: a
+    richer law contains most simpler ones. Then come the others, best first.
+    """
+    rivals = [r for r in ranking if r.instead_of is first.instead_of and confirmed(r, options)]
+    fitted = list[_Fitted]()
+    for rated in rivals:  # best first: most others soon prove to stay behind
+        least = min((f.cost for f in fitted), default=0.0)
+        fitted.append(_Fitted.of(beside, rated, training, least))
+    fitted.sort(key=lambda f: float(f.errors.sum()))
+    alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
+    alike.sort(key=lambda f: f.rated.numbers)
+    support = _support(fitted, ranking, options)
+    named = [replace(f.rated, support=support(f.rated)) for f in alike]
     contenders = tuple(r.placed.effect for r in ranking)
-    return replace(first, support=named[id(first)], alternatives=others, contenders=contenders)
+    others = tuple(r for r in named[1:] if not _richer(r, named[0]))
+    best = replace(named[0], alternatives=others, contenders=contenders)
+    rest = [f for f in fitted if f is not alike[0]]
+    told = [replace(f.rated, support=support(f.rated), contenders=contenders) for f in rest]
+    return [(best, alike[0].point), *zip(told, (f.point for f in rest), strict=True)]
 
 
-def _alike(best: Rated, other: Rated, blocks: Blocks) -> bool:
-    """Return whether two candidates gain alike, within the scatter of their difference."""
-    change = [one - two for one, two in zip(best.left, other.left, strict=True)]
-    size = block_sums(blocks, change)
-    difference = bounded(best.gain.raw - other.gain.raw, size)
-    return bool(difference.mean() <= error_of_mean(difference, size))
+def _richer(one: Rated, other: Rated) -> bool:
+    """Return whether one has more numbers at the same place."""
+    same = one.placed.effect.where == other.placed.effect.where
+    return same and one.numbers > other.numbers
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A candidate where the fit of the whole model with it ends.
+
+    errors (B,): squared error of each block by the fit of all others. left: what remains of the
+    weighed missing force of each record (rows, n).
+    """
+
+    rated: Rated
+    point: ForceModel
+    cost: float
+    errors: Array
+    left: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, beside: ForceModel, rated: Rated, training: Training, least: float) -> _Fitted:
+        """Fit the model with a candidate; not to the end if it stays far above the least cost."""
+        point = training.fit(replace(beside, placed=(*beside.placed, rated.placed)), least)
+        at = training.at(point)
+        columns = training.columns(at)
+        judged = training.judged(at, columns, training.group_columns(at))
+        left = _left(_coefficients(judged), columns, at.missing)
+        last = replace(rated, placed=point.placed[-1])
+        return cls(last, point, training.cost(point), judged.left_out_errors(), tuple(left))
+
+
+def _worse(one: _Fitted, best: _Fitted, blocks: Blocks, options: SearchOptions) -> bool:
+    """Return whether a fitted candidate is surely worse, by the scatter of the difference."""
+    size = block_sums(blocks, [a - b for a, b in zip(one.left, best.left, strict=True)])
+    difference = bounded(one.errors - best.errors, size)
+    return bool(difference.mean() > options.standard_errors * error_of_mean(difference, size))
+
+
+def _support(
+    fitted: Sequence[_Fitted], ranking: Sequence[Rated], options: SearchOptions
+) -> Callable[[Rated], float]:
+    """Return the function that gives the share of resamples of the blocks in which the class and
+    place of a candidate gain most of all."""
+    gains = np.array([r.gain.raw for r in ranking])
+    errors = np.array([f.errors for f in fitted])
+    rng = np.random.default_rng(0)
+    picks = rng.integers(errors.shape[1], size=(options.resamples, errors.shape[1]))
+    wins = np.argmin(errors[:, picks].mean(axis=2), axis=0)
+    none = np.all(gains[:, picks].mean(axis=2) <= 0.0, axis=0)
+
+    def kind(rated: Rated) -> tuple[str, tuple[str, ...]]:
+        return rated.placed.effect.effect_class, rated.placed.effect.where
+
+    kinds = [kind(f.rated) for f in fitted]
+
+    def share(rated: Rated) -> float:
+        same = [i for i, other in enumerate(kinds) if other == kind(rated)]
+        return float(np.mean(np.isin(wins, same) & ~none))
+
+    return share
 
 
 def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:
@@ -270,7 +318,7 @@ def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed
     size = block_sums(training.blocks, change)
     gain = gain_of(before, after, size, base, amplitudes, training.blocks.record)
     force = _force_share(whole, rest, placed, found)
-    return Rated(placed, gain, tuple(left[1]), gain.share, force, instead_of)
+    return Rated(placed, gain, gain.share, force, instead_of)
 
 
 def _force_share(
@@ -360,12 +408,11 @@ def _against_rivals(state: _State, training: Training, options: SearchOptions) -
         rivals = list({e.identity: e for e in rivals}.values())
         rest = training.fit(replace(state.point, placed=kept))
         ranking = rate(rest, rivals, training, options)
-        chosen = next((r for r in ranking if confirmed(r, options)), None)
-        if chosen is None:
+        first = next((r for r in ranking if confirmed(r, options)), None)
+        if first is None:
             continue
-        best = with_alternatives(chosen, ranking, training.blocks, options)
+        best, point = _fitted_rivals(rest, first, ranking, training, options)[0]
         others = {k: r for k, r in state.rated.items() if k != identity}
         others[best.placed.effect.identity] = best
-        point = training.fit(replace(rest, placed=(*kept, best.placed)))
         state = _State(point, others, state.dropped)
     return state

@@ -23,6 +23,7 @@ _DAMPING = 1e-3
 """Weight of the way from a fit's begin, relative to the columns: what these do not tell apart stays
 where it was."""
 _STEPS, _HALVINGS = 20, 6
+_HOPELESS = 0.1
 _CONVERGED = 1e-6
 """Share of the squared residual that a step must take for another one."""
 _TINY = np.finfo(float).tiny
@@ -187,20 +188,24 @@ class Training:
         whole[:, -1] = -rows[:, -1]
         return np.asarray(whole.T @ whole)
 
-    def fit(self, point: ForceModel) -> ForceModel:
-        """Return the point with all numbers fitted, by Gauss-Newton steps within the bounds."""
-        squares, begin = self._cost(point), point
+    def fit(self, point: ForceModel, rival: float = 0.0) -> ForceModel:
+        """Return the point with all numbers fitted, by Gauss-Newton steps within the bounds.
+
+        rival: cost of a model that this one must reach to matter. The fit ends early once its steps
+        have become a tenth of the way to there, as they become shorter still.
+        """
+        squares, begin = self.cost(point), point
         for _ in range(_STEPS):
             step = self._step(point, _way(begin, point))
             for halving in range(_HALVINGS):
                 moved = _moved(point, step * 0.5**halving)
-                after = self._cost(moved)
+                after = self.cost(moved)
                 if after < squares:
                     break
             else:
                 return point
             fell, point, squares = squares - after, moved, after
-            if fell < _CONVERGED * squares:
+            if fell < max(_CONVERGED * squares, _HOPELESS * (squares - rival if rival else 0.0)):
                 break
         return point
 
@@ -215,7 +220,7 @@ class Training:
                     values[i] += rows * Ts_s
                     if free.low[i] <= values[i] <= free.high[i]:
                         fits.append(self.fit(point.with_values(values)))
-        return min(fits, key=self._cost)
+        return min(fits, key=self.cost)
 
     def judged(
         self, at: Evaluated, columns: Sequence[Array], groups: Sequence[Array], more: int = 0
@@ -268,7 +273,8 @@ class Training:
             np.sum([np.sum(g * g * self.scale[:, None], axis=(0, 1)) for g in groups], axis=0)
         )
 
-    def _cost(self, point: ForceModel) -> float:
+    def cost(self, point: ForceModel) -> float:
+        """Return the sum of squares of the missing force, and of the parameters' priors."""
         rows = point.parameters.prior_rows(point.values)
         return self.at(point).squares + float(np.sum(rows[:, -1] ** 2))
 

@@ -16,6 +16,7 @@ from ....log.reader import Log
 from ....model.effects.base import Places
 from ....model.effects.force_units import force_units
 from ....model.geometry import shape_matrix
+from ...greybox.declared_model_from_config import declared_model
 from ...greybox.experiment_from_log import Experiment, coil_excitation, experiment_from_log
 from ...greybox.noise_model import Filter
 from ...records.from_log import (
@@ -201,7 +202,15 @@ def imported_places(model: ModelConfig) -> Places:
             {name: p.unit for name, p in model.parameters.items()},
             len(model.dof),
         ),
+        input_motion=_input_motion(model),
     )
+
+
+def _input_motion(model: ModelConfig) -> Array:
+    """Return the motion of each input along its force (m, n), 1 at the DOF that it pushes most."""
+    pushed = declared_model(model).at().B.T
+    most = pushed[np.arange(len(pushed)), np.argmax(np.abs(pushed), axis=1)]
+    return np.asarray(pushed / np.where(most == 0.0, 1.0, most)[:, None])
 
 
 def split(records: Sequence[TraceRecord]) -> tuple[list[TraceRecord], list[TraceRecord]]:

@@ -1,0 +1,256 @@
+"""Put an effect of a drawn size on a plant that is not the rig, and simulate both.
+
+The size is what all parameters of the model leave of the effect's force, over the force of the
+inputs. Effects that are not in the trace's table are marked as not listed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from levid.benchmarks.trace.imported_plant_cases import PLANTS, Plant
+from levid.benchmarks.trace.imported_plant_simulation import Kind, Motion, simulated
+
+Array = NDArray[np.float64]
+
+SIZES = (0.03, 0.3)
+"""Smallest and largest size; drawn evenly by its logarithm."""
+_NEAR, _BISECTIONS = 0.2, 20
+"""Largest relative error of a drawn size, and tries to find it."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """An effect: right classes, whether it is at an input, and names of its numbers in a fit.
+
+    right: classes that a right report has; empty for an effect that is not in the table, and of
+    which no class is a fair name. names: parameters of the effect `identity`, for intervals, by
+    index of the number.
+    """
+
+    kind: Kind
+    right: tuple[str, ...]
+    at_input: bool = False
+    effect: str = ""
+    names: tuple[str, ...] = ()
+    listed: bool = True
+
+    def truth(self, numbers: Array, ratio: float) -> dict[str, float]:
+        """Return the true parameters of a fitted effect, beside an input gain that is `ratio` of
+        the true one. Amplitudes of a DOF are forces; those of an input are relative to its
+        force."""
+        values = dict(zip(self.names, numbers.tolist(), strict=False))
+        if self.names and not self.at_input:
+            values[self.names[0]] *= ratio
+        return values
+
+
+_ACTUATOR = "actuator_nonlinearity"
+LAWS = {
+    "none": Law(Kind.NONE, ()),
+    "coulomb": Law(
+        Kind.COULOMB, ("friction",), effect="friction.coulomb", names=("friction", "v_s")
+    ),
+    "stribeck": Law(Kind.STRIBECK, ("friction",)),
+    "asymmetric_friction": Law(Kind.ASYMMETRIC, ("friction",)),
+    "cubic_stiffness": Law(Kind.CUBIC, ("stiffness",), effect="stiffness.cubic", names=("k3",)),
+    "quadratic_stiffness": Law(
+        Kind.QUADRATIC, ("stiffness",), effect="stiffness.asymmetric", names=("k2",)
+    ),
+    "drag": Law(Kind.DRAG, ("damping",), effect="damping.quadratic", names=("d2",)),
+    "gravity": Law(Kind.SINE, ("gravity",)),
+    "stop": Law(Kind.STOP, ("stiffness",), effect="stiffness.one_sided", names=("k", "q0")),
+    "gap": Law(Kind.GAP, ("backlash",)),
+    "cogging": Law(Kind.COGGING, ("cogging",)),
+    "loose_mass": Law(
+        Kind.LOOSE_MASS, ("flexible_mode",), effect="flexible_mode.loose_mass",
+        names=("m", "frequency", "damping"),
+    ),
+    "squared_actuator": Law(Kind.SQUARED, (_ACTUATOR,), True, "actuator.squared", ("a",)),
+    "cubic_actuator": Law(Kind.CUBED, (_ACTUATOR,), True, "actuator.cubic", ("a",)),
+    "force_with_speed": Law(Kind.WITH_SPEED, (_ACTUATOR,), True, "actuator.times_speed", ("a",)),
+    "dead_zone": Law(Kind.DEAD_ZONE, ("dead_zone",), True),
+    "saturation": Law(Kind.SATURATION, ("saturation",), True),
+    "quantised": Law(Kind.QUANTISED, (_ACTUATOR,), True),
+    "drift": Law(Kind.DRIFT, ("thermal_drift",), True, "thermal_drift.time", ("rate",)),
+    "lag": Law(Kind.LAG, ("actuator_lag",), True),
+    "delay": Law(Kind.DELAY, ("delay",), True),
+    "magnet": Law(Kind.MAGNET, ("magnetic_force",), effect="magnetic_force.i2_y2.closes"),
+    "uneven_friction": Law(Kind.RUBBED_UNEVENLY, ("friction",), listed=False),
+    "drag_15": Law(Kind.DRAG_15, ("damping",), listed=False),
+    "force_ripple": Law(Kind.RIPPLE, (), True, listed=False),
+}  # fmt: skip
+"""Effects by name."""
+
+_ANYWHERE = (
+    "none", "cubic_stiffness", "quadratic_stiffness", "drag", "stop", "loose_mass",
+    "squared_actuator", "cubic_actuator", "force_with_speed", "dead_zone", "saturation",
+    "quantised", "drift", "lag", "delay", "drag_15",
+)  # fmt: skip
+_RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction")
+_LONG = ("cogging", "force_ripple")
+CASES = {
+    "drive": (*_ANYWHERE, *_RUBBING, *_LONG),
+    "geared": (*_ANYWHERE, *_RUBBING, *_LONG, "gap"),
+    "pendulum": (*_ANYWHERE, *_RUBBING, "gravity"),
+    "stage": (*_ANYWHERE, *_RUBBING),
+    "levitation": (
+        "none", "magnet", "squared_actuator", "drag", "drift", "lag", "quantised", "delay",
+    ),
+}  # fmt: skip
+"""Effects of each plant."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plant with an effect, and its records.
+
+    where: places of a right report. size: what a linear model leaves of the effect's force, over
+    the force of the inputs. truth: parameters of the model with this effect, in the ratio of the
+    declared input gain; of the effect only if `structure` names it.
+    """
+
+    plant: Plant
+    law: Law
+    where: tuple[str, ...]
+    numbers: Array
+    size: float
+    motion: Motion
+
+
+def case(plant_name: str, law_name: str, seed: int) -> Case:
+    """Draw a plant and the size of its effect, and simulate both."""
+    rng = np.random.default_rng([seed, list(PLANTS).index(plant_name), list(LAWS).index(law_name)])
+    plant, law = PLANTS[plant_name](rng), LAWS[law_name]
+    still = np.zeros(len(plant.dof))
+    noise_seed = int(rng.integers(1 << 32))
+
+    def flown(numbers: Array, noise: Array, place: int) -> Motion:
+        same = np.random.default_rng(noise_seed)
+        return simulated(plant.linear(noise), plant.v, same, law.kind, place, numbers)
+
+    plain = simulated(plant.linear(still), plant.v, rng, Kind.NONE, 0, np.zeros(1))
+    if plant.reach is not None:
+        ratio = plant.reach / plain.q[:, 0].std()
+        plant = replace(plant, v=ratio * plant.v)
+        plain = simulated(plant.linear(still), plant.v, rng, Kind.NONE, 0, np.zeros(1))
+    noise = plant.noise * plain.q.std(axis=0)
+    place = int(rng.integers(len(plant.inputs) if law.at_input else len(plant.dof)))
+    if plant_name == "geared":
+        place = int(law.kind == Kind.GAP)  # all others act on the motor
+    names = list(plant.inputs if law.at_input else plant.dof)
+    where = (names[place],) if law.kind != Kind.MAGNET else ("y", "i")
+    numbers = _numbers(law.kind, plant, plain, place, rng)
+    force = float(np.linalg.norm(_acting(plant, plain, place)))
+    if law.kind == Kind.NONE:
+        return Case(plant, law, (), numbers, 0.0, flown(numbers, noise, 0))
+    wanted = float(np.exp(rng.uniform(*np.log(SIZES))))
+
+    def sized(numbers: Array) -> float:
+        with np.errstate(all="ignore"):
+            motion = flown(numbers, noise, place)
+            return plant.unexplained(motion) / force if np.all(np.isfinite(motion.y)) else np.inf
+
+    size = sized(numbers)
+    if law.kind not in (Kind.SINE, Kind.MAGNET):
+        numbers, size = _with_size(sized, wanted, numbers, _most(law.kind, plant, plain, place))
+    return Case(plant, law, where, numbers, size, flown(numbers, noise, place))
+
+
+def _with_size(
+    sized: Callable[[Array], float], wanted: float, numbers: Array, most: float
+) -> tuple[Array, float]:
+    """Return the numbers of which the first one gives the wanted size, and the size: by bisection;
+    less where the largest number gives less, or a larger one lets the plant run away."""
+    low, high = 0.0, np.inf
+    best = (np.inf, numbers, 0.0)
+    number = min(float(numbers[0]), most)
+    for _ in range(_BISECTIONS):
+        tried = np.concatenate([[number], numbers[1:]])
+        size = sized(tried)
+        if np.isfinite(size):
+            best = min(best, (abs(np.log(max(size, 1e-12) / wanted)), tried, size), key=_first)
+        if best[0] < _NEAR or (size < wanted and number == most):
+            break
+        low, high = (number, high) if size < wanted else (low, number)
+        number = 0.2 * high if low == 0.0 else min(5.0 * low, np.sqrt(low * min(high, 25.0 * low)))
+        number = min(number, most)
+    return best[1], best[2]
+
+
+def _first(tried: tuple[float, Array, float]) -> float:
+    return tried[0]
+
+
+def _numbers(
+    kind: Kind, plant: Plant, plain: Motion, place: int, rng: np.random.Generator
+) -> Array:
+    """Return start values of an effect's numbers, sized by the motion without it."""
+    dof = min(place, plain.q.shape[1] - 1)
+    q, w, u = plain.q[:, dof].std(), plain.w[:, dof].std(), _command(plain, place).std()
+    tenth = 0.1 * _acting(plant, plain, place).std()
+    v, pitch = w * rng.uniform(0.005, 0.03), 4.0 * q / rng.uniform(3.0, 12.0)
+    peak, share, phase = rng.uniform(0.3, 0.8), rng.uniform(0.1, 0.4), rng.uniform(0.0, 2 * np.pi)
+    stop = np.quantile(plain.q[:, dof], rng.uniform(0.5, 0.8))
+    spectrum = np.abs(np.fft.rfft(plain.a[:, dof]))[1:] ** 2
+    seconds, cycles = len(plain.u) * plant.Ts_s, np.arange(1, len(spectrum) + 1)
+    middle = float(cycles @ spectrum / spectrum.sum() / seconds)
+    value = {name: number for name, (number, _) in plant.parameters.items()}
+    mass = value[next(iter(value))]
+    b, k, weight = plant.gain.max(), value.get("k", 1.0), 9.81 * mass
+    start = {
+        Kind.COULOMB: (tenth, v),
+        Kind.STRIBECK: (tenth, w * rng.uniform(0.05, 0.2), peak),
+        Kind.ASYMMETRIC: (tenth, v, share),
+        Kind.RUBBED_UNEVENLY: (tenth, v, peak, q / rng.uniform(1.0, 3.0)),
+        Kind.CUBIC: (tenth / q**3,),
+        Kind.QUADRATIC: (tenth / q**2,),
+        Kind.DRAG: (tenth / w**2,),
+        Kind.DRAG_15: (tenth / w**1.5,),
+        Kind.SINE: (k,),
+        Kind.STOP: (3.0 * tenth / q, stop),
+        Kind.GAP: (0.1 * q, value.get("k_c", 0.0)),
+        Kind.COGGING: (tenth, pitch, phase),
+        Kind.RIPPLE: (0.1, pitch),
+        Kind.LOOSE_MASS: (
+            0.05 * mass, middle * rng.uniform(0.5, 1.2), rng.uniform(0.01, 0.05)
+        ),
+        Kind.MAGNET: (weight, 2.0 * weight / b, -2.0 * weight / k),
+        Kind.SQUARED: (0.1 / u,),
+        Kind.CUBED: (0.03 / u**2,),
+        Kind.WITH_SPEED: (0.1 / w,),
+        Kind.DEAD_ZONE: (0.1 * u,),
+        Kind.SATURATION: (0.6 / u,),
+        Kind.QUANTISED: (0.3 * u,),
+        Kind.DRIFT: (0.3 / seconds,),
+        Kind.LAG: (2.0 * plant.Ts_s,),
+        Kind.DELAY: (0.5 * plant.Ts_s,),
+    }  # fmt: skip
+    return np.array(start.get(kind, (0.0,)))
+
+
+def _most(kind: Kind, plant: Plant, plain: Motion, place: int) -> float:
+    """Return the largest size of an effect that stays what it is."""
+    u = _command(plain, place).std()
+    seconds = len(plain.u) * plant.Ts_s
+    return {
+        Kind.GAP: plain.q[:, min(place, plain.q.shape[1] - 1)].std(), Kind.DELAY: plant.Ts_s,
+        Kind.QUANTISED: 1.5 * u, Kind.DEAD_ZONE: u, Kind.SATURATION: 1.2 / u,
+        Kind.DRIFT: 0.8 / seconds, Kind.LAG: 30.0 * plant.Ts_s, Kind.RIPPLE: 0.8,
+    }.get(kind, np.inf)  # fmt: skip
+
+
+def _command(plain: Motion, place: int) -> Array:
+    """Return the command of a place (N,), the last one if there are fewer inputs than DOF."""
+    return plain.u[:, min(place, plain.u.shape[1] - 1)]
+
+
+def _acting(plant: Plant, plain: Motion, place: int) -> Array:
+    """Return the force of the inputs (N,) at the DOF of a place, or at one that they drive."""
+    forces = plain.u @ plant.gain.T
+    driven = np.flatnonzero(forces.any(axis=0))
+    return np.asarray(forces[:, place if place in driven else driven[-1]])

@@ -1,0 +1,203 @@
+"""Simulate plants that are not the rig, with one effect, independently of levid's simulator.
+
+M q'' + D q' + K q = B F(u) + the effect; the controller is u = v - kp y - kd dy, dy the change of y
+over a period, y = q + noise. Commands are held over a period, in which the motion is integrated by
+the midpoint rule. An effect is a Kind, a place (index of a DOF or an input) and up to four numbers,
+of which the first one is its size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Kind(IntEnum):
+    """Effects: s is the first number of each; q, w position and speed, u command of the place."""
+
+    NONE = 0
+    COULOMB = 1  # -s tanh(w / v)
+    STRIBECK = 2  # -s (1 + peak exp(-(w / v)^2)) tanh(10 w / v)
+    ASYMMETRIC = 3  # -s (1 + share sign w) tanh(w / v)
+    CUBIC = 4  # -s q^3
+    QUADRATIC = 5  # -s q^2
+    DRAG = 6  # -s |w| w
+    SINE = 7  # -s (sin q - q): with K, -s sin q
+    STOP = 8  # -s max(q - q0, 0)
+    GAP = 9  # s clip(q, -half, half): with K = s, a spring with a gap
+    COGGING = 10  # s sin(2 pi q / pitch + phase)
+    LOOSE_MASS = 11  # a mass of s on a spring: frequency, damping
+    RUBBED_UNEVENLY = 12  # -s (1 + share sin(q / length)) tanh(w / v)
+    DRAG_15 = 13  # -s |w|^0.5 w
+    SQUARED = 14  # F = u + s u |u|
+    CUBED = 15  # F = u + s u^3
+    WITH_SPEED = 16  # F = u (1 + s w)
+    DEAD_ZONE = 17  # F = u - clip(u, -s, s)
+    SATURATION = 18  # F = clip(u, -limit, limit), limit = 1 / s
+    QUANTISED = 19  # F = round(u / s) s
+    DRIFT = 20  # F = (1 - s t) u
+    LAG = 21  # F follows u with the time constant s
+    DELAY = 22  # F = u(t - s), s less than a period
+    RIPPLE = 23  # F = u (1 + s sin(2 pi q / pitch))
+    MAGNET = 24  # s ((1 + u / i0)^2 / (1 - q / y0)^2 less its linear part): number s, i0, y0
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Matrices M, D, K (n, n), B (n, m), controller kp, kd (m, n), noise of the outputs (n,)."""
+
+    M: Array
+    D: Array
+    K: Array
+    B: Array
+    kp: Array
+    kd: Array
+    noise: Array
+    Ts_s: float
+    steps: int
+    """Steps of the integration in a period."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Commands u (N, m), outputs y (N, n), and means over each period: positions, speeds and
+    accelerations (N, n), forces of the effect on the DOF (N, n)."""
+
+    u: Array
+    y: Array
+    q: Array
+    w: Array
+    a: Array
+    effect: Array
+
+
+def simulated(
+    plant: Linear, v: Array, rng: np.random.Generator, kind: Kind, place: int, numbers: Array
+) -> Motion:
+    """Return the motion for reference signals v (N, m) of a plant that starts at rest."""
+    n = len(plant.M)
+    noise = plant.noise * rng.normal(size=(len(v), n))
+    arrays = (np.linalg.inv(plant.M), plant.D, plant.K, plant.B, plant.kp, plant.kd)
+    four = np.zeros(4)
+    four[: len(numbers)] = numbers
+    return Motion(*_integrated(v, noise, plant.Ts_s, plant.steps, arrays, int(kind), place, four))
+
+
+def _on_dof(kind: int, s: Array, q: float, w: float) -> float:  # noqa: PLR0911 - numba has no match
+    if kind == Kind.COULOMB:
+        return -s[0] * np.tanh(w / s[1])
+    if kind == Kind.STRIBECK:
+        return -s[0] * (1.0 + s[2] * np.exp(-((w / s[1]) ** 2))) * np.tanh(10.0 * w / s[1])
+    if kind == Kind.ASYMMETRIC:
+        return -s[0] * (1.0 + s[2] * np.sign(w)) * np.tanh(w / s[1])
+    if kind == Kind.CUBIC:
+        return -s[0] * q**3
+    if kind == Kind.QUADRATIC:
+        return -s[0] * q * q
+    if kind == Kind.DRAG:
+        return -s[0] * abs(w) * w
+    if kind == Kind.SINE:
+        return -s[0] * (np.sin(q) - q)
+    if kind == Kind.STOP:
+        return -s[0] * max(q - s[1], 0.0)
+    if kind == Kind.GAP:
+        return s[1] * min(max(q, -s[0]), s[0])
+    if kind == Kind.COGGING:
+        return s[0] * np.sin(2.0 * np.pi * q / s[1] + s[2])
+    if kind == Kind.RUBBED_UNEVENLY:
+        return -s[0] * (1.0 + s[2] * np.sin(q / s[3])) * np.tanh(w / s[1])
+    if kind == Kind.DRAG_15:
+        return -s[0] * abs(w) ** 0.5 * w
+    return 0.0
+
+
+def _on_input(  # noqa: PLR0911 - as above
+    kind: int, s: Array, u: float, q: float, w: float, t_s: float
+) -> float:
+    if kind == Kind.SQUARED:
+        return u + s[0] * u * abs(u)
+    if kind == Kind.CUBED:
+        return u + s[0] * u**3
+    if kind == Kind.WITH_SPEED:
+        return u * (1.0 + s[0] * w)
+    if kind == Kind.DEAD_ZONE:
+        return u - min(max(u, -s[0]), s[0])
+    if kind == Kind.SATURATION:
+        return min(max(u, -1.0 / s[0]), 1.0 / s[0])
+    if kind == Kind.QUANTISED:
+        return np.round(u / s[0]) * s[0]
+    if kind == Kind.DRIFT:
+        return u * (1.0 - s[0] * t_s)
+    if kind == Kind.RIPPLE:
+        return u * (1.0 + s[0] * np.sin(2.0 * np.pi * q / s[1]))
+    return u
+
+
+_dof_force = njit(_on_dof)
+_input_force = njit(_on_input)
+
+
+def _integrate(
+    v: Array, noise: Array, Ts_s: float, steps: int, arrays: tuple[Array, ...], kind: int,
+    place: int, s: Array,
+) -> tuple[Array, Array, Array, Array, Array, Array]:  # fmt: skip
+    Minv, D, K, B, kp, kd = arrays
+    rows, m, n, h = v.shape[0], v.shape[1], len(Minv), Ts_s / steps
+    u, y, qs = np.zeros((rows, m)), np.zeros((rows, n)), np.zeros((rows, n))
+    ws, accelerations, effects = np.zeros_like(y), np.zeros_like(y), np.zeros_like(y)
+    q, w, last, before = np.zeros(n), np.zeros(n), noise[0].copy(), np.zeros(m)
+    lagged, hung, hung_w = 0.0, 0.0, 0.0
+    F, extra = np.zeros(m), np.zeros(n)
+    for row in range(rows):
+        y[row] = q + noise[row]
+        u[row] = v[row] - kp @ y[row] - kd @ (y[row] - last)
+        last = y[row].copy()
+        for step in range(steps):
+            q_mid, w_mid, hung_mid, hung_w_mid, lag_mid = q, w, hung, hung_w, lagged
+            for half in range(2):
+                F[:] = u[row]
+                extra[:] = 0.0
+                pull = lag_rate = 0.0
+                if kind >= Kind.SQUARED and kind != Kind.MAGNET:
+                    at = min(place, n - 1)
+                    t_s = (row + (step + 0.5) / steps) * Ts_s
+                    F[place] = _input_force(kind, s, u[row, place], q_mid[at], w_mid[at], t_s)
+                    if kind == Kind.LAG:
+                        lag_rate = (u[row, place] - lag_mid) / s[0]
+                        F[place] = lag_mid
+                    elif kind == Kind.DELAY and step < round(s[0] / h):
+                        F[place] = before[place]
+                elif kind == Kind.MAGNET:
+                    i, gap = u[row, 0] / s[1], q_mid[0] / s[2]
+                    near = 1.0 - min(gap, 0.9)
+                    extra[0] = s[0] * ((1.0 + i) ** 2 / near**2 - 1.0 - 2.0 * i - 2.0 * gap)
+                elif kind == Kind.LOOSE_MASS:
+                    rate = 2.0 * np.pi * s[1]
+                    pull = rate * rate * (hung_mid - q_mid[place])
+                    pull += 2.0 * s[2] * rate * (hung_w_mid - w_mid[place])
+                    extra[place] = s[0] * pull
+                elif kind > 0:
+                    extra[place] = _dof_force(kind, s, q_mid[place], w_mid[place])
+                a = Minv @ (B @ F - D @ w_mid - K @ q_mid + extra)
+                part = 0.5 * h if half == 0 else h
+                q_mid, w_mid = q + part * w_mid, w + part * a
+                hung_mid, hung_w_mid = hung + part * hung_w_mid, hung_w - part * pull
+                lag_mid = lagged + part * lag_rate
+            qs[row] += 0.5 * (q + q_mid) / steps
+            ws[row] += 0.5 * (w + w_mid) / steps
+            accelerations[row] += (w_mid - w) / Ts_s
+            effects[row] += (extra + B @ (F - u[row])) / steps
+            q, w, hung, hung_w, lagged = q_mid, w_mid, hung_mid, hung_w_mid, lag_mid
+        before[:] = u[row]
+    return u, y, qs, ws, accelerations, effects
+
+
+_integrated = cast("Callable[..., tuple[Array, ...]]", njit(_integrate))

@@ -7,8 +7,9 @@ is wrong too.
 
 A report is *right* if its class and place are those of the effect in the plant; *in a group* if
 only an alternative of an ambiguous report is. A *false name* is a known class of which no member is
-right. Free forms (class `unknown`) are counted apart. Effects that are not in the table are right
-if no name is false. Intervals are counted only if the fitted model has the structure of the plant.
+right; the trace may say that it is in doubt. Free forms (class `unknown`) are counted apart.
+Effects that are not in the table are right if no name is false. Intervals are counted only if the
+fitted model has the structure of the plant.
 """
 
 from __future__ import annotations
@@ -46,8 +47,9 @@ FIRST_SEED = 120_000
 class Score:
     """The judged trace of one plant.
 
-    named: what was found, in words. force: missing force before and after in per cent. inside:
-    whether each interval has the truth, with its half width over the true number.
+    named: what was found, in words. doubtful: whether the trace says that a name is in doubt.
+    sure_and_false: whether a false name is not. force: missing force before and after in per cent.
+    inside: whether each interval has the truth, with its half width over the true number.
     """
 
     plant: str
@@ -63,6 +65,8 @@ class Score:
     inside: tuple[tuple[bool, float], ...]
     told: tuple[Statement, ...]
     named: str
+    doubtful: bool
+    sure_and_false: bool
 
     @property
     def good(self) -> bool:
@@ -71,8 +75,9 @@ class Score:
         return not self.false_name and (not wanted or self.right or self.in_group)
 
     def __str__(self) -> str:
-        kinds = ("right", self.right), ("in a group", self.in_group), ("FALSE", self.false_name)
-        said = ", ".join(word for word, is_so in kinds if is_so) or ("-" if self.good else "MISSED")
+        kinds = {"right": self.right, "in a group": self.in_group, "FALSE": self.false_name}
+        kinds |= {"surely": self.sure_and_false, "in doubt": self.doubtful}
+        said = ", ".join(k for k, so in kinds.items() if so) or ("-" if self.good else "MISSED")
         before, after = self.force
         missed = sum(not ok for ok, _ in self.inside)
         return (
@@ -101,13 +106,15 @@ def scored(plant: str, law: str, seed: int, options: SearchOptions | None = None
     known = [e for e in summary["effects"] if e["class"] != "unknown"]
     alone = [right(e) for e in known]
     grouped = [any(map(right, e["alternatives"])) for e in known]
-    false = any(not (a or g) for a, g in zip(alone, grouped, strict=True))
+    false = [e for e, a, g in zip(known, alone, grouped, strict=True) if not (a or g)]
+    doubted = [e["evidence"]["doubtful"] for e in known]
     force = summary["validation"]["force_percent"]
     return Score(
-        plant, law, seed, drawn.size, any(alone), any(grouped) and not any(alone), false,
+        plant, law, seed, drawn.size, any(alone), any(grouped) and not any(alone), bool(false),
         len(known) < len(summary["effects"]), (force["before"], force["after"]), seconds,
         tuple(intervals(trace, drawn, ratio)), tuple(statements(summary, right)),
         "; ".join(f"{e['name']} {' '.join(e['where'])}" for e in summary["effects"]) or "nothing",
+        any(doubted), any(not e["evidence"]["doubtful"] for e in false),
     )  # fmt: skip
 
 
@@ -173,6 +180,12 @@ def figures_of(scores: Sequence[Score]) -> Iterator[Figure]:
     )
     yield share(
         "false_unlisted_percent", [s.false_name for s in unlisted], "of unlisted ones", None
+    )
+    yield Figure("sure_and_false", sum(s.sure_and_false for s in scores), "",
+                 "of these not said to be in doubt", target=Target(most=0.0))  # fmt: skip
+    doubtful = [s.doubtful for s in scores if (s.right or s.in_group) and LAWS[s.law].listed]
+    yield share(
+        "right_in_doubt_percent", doubtful, "right names that are said to be in doubt", None
     )
     inside = [one for s in scores for one in s.inside]
     yield share("coverage_percent", [ok for ok, _ in inside], "95 % intervals with the truth",

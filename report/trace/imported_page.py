@@ -61,6 +61,12 @@ def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
             text = f"{law.name}: {values} (95 %)."
         if law.alternatives:
             text += " These records do not tell its members apart."
+        if law.doubtful:
+            text += (
+                " It is in doubt: what is left, and what a free form of all signals explains, is "
+                f"{100 * law.left_over_taken:.2g} % of what it takes of the squared missing force. "
+                "If what is there is not in the table, the best of the table takes something too."
+            )
         if law.laws:
             names = ", ".join(r.placed.effect.title for r in law.laws)
             text += f" Other laws fit as well: {names}."

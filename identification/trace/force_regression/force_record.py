@@ -81,6 +81,15 @@ class ForceRecord:
         )  # fmt: skip
         return cls(record.name, band, signals, band.kept_derivatives(), record.places.decoupling)
 
+    def counted_from(self, row: int) -> ForceRecord:
+        """Return the record with only the rows that count behind a row, and an edge as at its begin.
+
+        What comes before it sets the state of laws that have a memory.
+        """
+        old = self.band.kept
+        band = replace(self.band, kept=slice(row + old.start, old.stop, old.step))
+        return replace(self, band=band, kept=band.kept_derivatives(), _inputs={}, _parts={})
+
     @property
     def rows(self) -> int:
         """Number of rows that count."""

@@ -42,6 +42,8 @@ class FoundLaw:
     support: share of bootstrap samples of the blocks in which an effect of this class at this place
     gains most. `alternatives` are of other classes or places, each with its support: these records
     do not tell them apart. laws: other laws of the same class and place, not told apart either.
+    left_over_taken: what the model leaves of the squared missing force that a free form explains,
+    over what the law takes. least_gain: what an effect must take.
     """
 
     rated: Rated
@@ -49,6 +51,16 @@ class FoundLaw:
     support: float
     alternatives: tuple[Rated, ...]
     laws: tuple[Rated, ...]
+    left_over_taken: float
+    least_gain: float
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the name is uncertain: a law that is right leaves far less than it takes.
+
+        If what is there is not in the table, the best law still explains a part of it.
+        """
+        return not self.free and self.left_over_taken > self.least_gain
 
     @property
     def placed(self) -> Placed:
@@ -72,8 +84,8 @@ class ForceOutcome:
     """The result of a trace of imported records in numbers.
 
     before, after: errors on the reported rows. metric: what measures them; `before_rms`,
-    `after_rms` in its unit. free_form (n,): what a
-    free form of all signals leaves of the force in the fitted rows.
+    `after_rms` in its unit. free_form (n,): what a free form of all signals leaves of the force in
+    the fitted rows, in per cent, nan without one.
     """
 
     laws: tuple[FoundLaw, ...]
@@ -87,13 +99,21 @@ class ForceOutcome:
     dof: tuple[str, ...]
 
     @property
+    def doubtful(self) -> bool:
+        """Whether any name is uncertain."""
+        return any(law.doubtful for law in self.laws)
+
+    @property
     def verdict(self) -> str:
         """The result in a sentence."""
-        named = [law.name for law in self.laws if not law.free]
+        named = [law.name for law in self.laws if not (law.free or law.doubtful)]
+        perhaps = [law.name for law in self.laws if law.doubtful]
         forms = [law.placed.effect.name for law in self.laws if law.free]
         parts = []
         if named:
             parts.append(f"found: {', '.join(named)}")
+        if perhaps:
+            parts.append(f"perhaps: {', '.join(perhaps)}")
         if forms:
             parts.append(f"no known law, described by a free form: {', '.join(forms)}")
         if not parts:
@@ -104,13 +124,17 @@ class ForceOutcome:
     def rest(self) -> str:
         """What the model leaves of the force, in a clause."""
         left = [
-            f"{after:.3g} % of the force at {name} (a free form of all signals leaves {form:.3g} % "
-            "of the fitted rows)"
+            f"{after:.3g} % of the force at {name}" + _beside(form)
             for name, after, form in zip(
                 self.dof, self.after.force_percent, self.free_form, strict=True
             )
         ]
         return f"the model leaves {', '.join(left)}"
+
+
+def _beside(form: float) -> str:
+    known = f" (a free form of all signals leaves {form:.3g} % of the fitted rows)"
+    return known if math.isfinite(form) else ""
 
 
 def force_outcome(trace: ForceTrace) -> ForceOutcome:
@@ -191,6 +215,7 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
             },
             "unexplained": {
                 "found": found.verdict,
+                "doubtful": found.doubtful,
                 "nearest": [
                     {
                         **_named(r),
@@ -259,13 +284,12 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         for p, own in zip(trace.found.point.placed, _parameters(trace), strict=True)
     }
     laws = []
-    for rated in trace.found.rated:
+    for rated, left in zip(trace.found.rated, trace.left_over_taken, strict=True):
         own = _kind(rated)
         same = tuple(r for r in rated.alternatives if _kind(r) == own)
         others = tuple(r for r in rated.alternatives if _kind(r) != own)
-        laws.append(
-            FoundLaw(rated, values[rated.placed.effect.identity], rated.support, others, same)
-        )
+        own_values, least = values[rated.placed.effect.identity], trace.options.least_gain
+        laws.append(FoundLaw(rated, own_values, rated.support, others, same, left, least))
     return tuple(laws)
 
 
@@ -288,6 +312,8 @@ def _effect(law: FoundLaw) -> dict[str, Any]:
         "force_share": rated.force,
         "other_records": [None if not math.isfinite(g) else g > 0.0 for g in rated.gain.others],
         "laws_not_told_apart": [_named(r) for r in law.laws],
+        "left_over_taken": law.left_over_taken,
+        "doubtful": law.doubtful,
         "absorbed_by": effect.absorbed_by,
         "told_apart_by": effect.told_apart_by,
     }

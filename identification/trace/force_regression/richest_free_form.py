@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 _DEGREE = 5
 _TURNS = (0.02, 0.15)
 """Speeds at which a friction turns, over the RMS speed."""
+_ALONG = 3
+"""Degree in the position of friction that changes along the way."""
 _WIDE = 3.0
 """Range of a polynomial in standard deviations; outside it is constant."""
 _ROWS_PER_NUMBER = 5.0
@@ -27,9 +29,10 @@ def residual_of_richest(
 ) -> list[Array]:
     """Return what the model's columns `own` (C, rows, n) and a free form leave of each record.
 
-    The form has polynomials in each position, speed and command, friction that turns at two speeds,
-    and products of two signals, in each equation. It has neither the command nor the acceleration
-    by itself: with both free, every equation is true. It is fitted to all records, without weights.
+    The form has polynomials in each position, speed and command, friction that turns at two speeds
+    and changes with position and load, and products of two signals, in each equation. It has
+    neither the command nor the acceleration by itself: with both free, every equation is true. It
+    is fitted to all records, without weights.
     """
     whole = [_columns(r, point) for r in records]
     missing = [r.missing_force(point) for r in records]
@@ -78,10 +81,13 @@ def _forms(s: Signals) -> list[Array]:
     found = []
     for x in motion:
         found += list(_polynomials(x, _DEGREE))
-    for speed in s.qd.T:
-        rms = max(float(speed.std()), np.finfo(float).tiny)
-        found += [np.tanh(speed / (turn * rms)) for turn in _TURNS]
     acting = _scaled(s.acting(s.coil))
+    for place, speed in zip(_scaled(s.q), s.qd.T, strict=True):
+        rms = max(float(speed.std()), np.finfo(float).tiny)
+        grows = [*_polynomials(place, _ALONG), *(np.abs(u) for u in acting)]
+        for turn in _TURNS:
+            rubs = np.tanh(speed / (turn * rms))
+            found += [rubs, *(rubs * factor for factor in grows)]
     every = [*motion, *acting]
     for a in range(len(every)):
         for b in range(a):

@@ -249,8 +249,8 @@ def _richer(one: Rated, other: Rated) -> bool:
 class _Fitted:
     """A candidate where the fit of the whole model with it ends.
 
-    errors (B,): squared error of each block by the fit of all others. left: what remains of the
-    weighed missing force of each record (rows, n).
+    errors (B,): squared error of each block by the fit of all others, with the candidate's shape
+    held. left: what remains of the weighed missing force of each record (rows, n).
     """
 
     rated: Rated
@@ -266,16 +266,22 @@ class _Fitted:
         at = training.at(point)
         columns = training.columns(at)
         judged = training.judged(at, columns, training.group_columns(at))
-        left = _left(_coefficients(judged), columns, at.missing)
         last = replace(rated, placed=point.placed[-1])
-        return cls(last, point, training.cost(point), judged.left_out_errors(), tuple(left))
+        # A shape that the records hardly determine would move far by a fit without a block.
+        kept = len(columns[0]) - len(last.placed.shape)
+        held = judged.only(range(kept))
+        left = _left(_coefficients(held), [c[:kept] for c in columns], at.missing)
+        return cls(last, point, training.cost(point), held.left_out_errors(), tuple(left))
 
 
 def _worse(one: _Fitted, best: _Fitted, blocks: Blocks, options: SearchOptions) -> bool:
-    """Return whether a fitted candidate is surely worse, by the scatter of the difference."""
+    """Return whether a fitted candidate is worse: surely, by the scatter of the difference, and by
+    more than the equation of the best may be wrong by."""
     size = block_sums(blocks, [a - b for a, b in zip(one.left, best.left, strict=True)])
     difference = bounded(one.errors - best.errors, size)
-    return bool(difference.mean() > options.standard_errors * error_of_mean(difference, size))
+    least = options.inexact * float(best.rated.gain.raw.mean())
+    surely = options.standard_errors * error_of_mean(difference, size)
+    return bool(difference.mean() > max(surely, least))
 
 
 def _support(

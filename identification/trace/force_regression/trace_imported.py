@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -56,7 +56,9 @@ class ForceTrace:
 
     declared: the refitted model without new effects; found: the search's result; errors: standard
     errors of its numbers. before, after: errors on the reported rows. free_form (n,): what a free
-    form of all signals leaves of the acting force in the fitted rows, in per cent. noise_sd (n,):
+    form of all signals leaves of the acting force in the fitted rows, in per cent, nan where all
+    terms of an equation are free. left_over_taken: for each effect found, what the model leaves of
+    the squared missing force that such a form explains, over what the effect takes. noise_sd (n,):
     of each output; noise_stated: whether the signals files state it. fitted, reported: the records
     below the band's limit `limit_hz`.
     """
@@ -69,6 +71,7 @@ class ForceTrace:
     before: tuple[ReportedError, ...]
     after: tuple[ReportedError, ...]
     free_form: Array
+    left_over_taken: tuple[float, ...]
     noise_sd: Array
     noise_stated: bool
     limit_hz: float
@@ -127,7 +130,10 @@ def _traced(
     train, kept = [p[0] for p in parts], [p[1] for p in parts]
     law_hz = max(limit_hz, min(velocity_limit(r.experiment, sd) for r in records))
     fitted = tuple(ForceRecord.of(r, hold, limit_hz, law_hz) for r in train)
-    reported = tuple(ForceRecord.of(r, hold, limit_hz, law_hz) for r in kept)
+    reported = tuple(
+        ForceRecord.of(whole, hold, limit_hz, law_hz).counted_from(begin.rows)
+        for whole, begin in zip(records, train, strict=True)
+    )
     places = records[0].places
     covered = extent(train)
     # Far below its resonance, an effect is a change of mass, stiffness and damping.
@@ -164,11 +170,43 @@ def _traced(
     whole = Beside.of(found.point, training)
     left = residual_of_richest(found.point, fitted, _plain_columns(whole))
     acting = [r.acting_force(found.point) for r in fitted]
-    free_form = 100.0 * _rms(left) / _rms(acting)
+    form = np.where(np.isnan(training.reference), _rms(left), np.nan)
+    force = _rms(acting)
     return ForceTrace(
-        config, places, declared, found, errors, before, after, free_form, sd, noise is not None,
+        config, places, declared, found, errors, before, after, 100.0 * form / force,
+        _left_over_taken(found, training, form / force, options), sd, noise is not None,
         limit_hz, fitted, reported, (*notes, *table.notes), options,
     )  # fmt: skip
+
+
+def _left_over_taken(
+    found: Searched, training: Training, form: Array, options: SearchOptions
+) -> tuple[float, ...]:
+    """Return for each effect what the model leaves of the squared missing force, over what the
+    effect takes of it beside the others.
+
+    form (n,): what a free form leaves, over the acting force; only what is left beyond it counts,
+    at the DOF that have a form (not nan), and only if an effect must take as much.
+    """
+    plain, tied = training.plain(), np.isfinite(form)
+
+    def missing(point: ForceModel) -> Array:
+        return missing_share(plain.at(point))[tied]
+
+    after = missing(found.point)
+    beyond = np.where(after - form[tied] > options.least_force, after**2 - form[tied] ** 2, 0.0)
+    shares = []
+    for rated in found.rated:
+        identity = rated.placed.effect.identity
+        others = tuple(p for p in found.point.placed if p.effect.identity != identity)
+        without = missing(training.fit(replace(found.point, placed=others)))
+        taken = float(np.sum(without**2 - after**2))
+        shares.append(float(beyond.sum() / max(taken, np.finfo(float).tiny)))
+    return tuple(shares)
+
+
+def _centred(missing: Iterable[Array]) -> list[Array]:
+    return [m - m.mean(axis=0) for m in missing]
 
 
 def _weighed(
@@ -185,6 +223,10 @@ def _weighed(
     point = training.first_fit(start)
     beside = Beside.of(point, training)
     left = residual_of_richest(point, fitted, _plain_columns(beside))
+    missing = _centred(r.missing_force(point) for r in fitted)
+    # If all terms of an equation are free, a free form explains all of it and tells nothing.
+    tied = np.isnan(training.reference)
+    left = [np.where(tied, form, plain) for form, plain in zip(left, missing, strict=True)]
     white = whitening_of(left, [r.band.row_s for r in fitted], limit_hz)
     weighed = replace(training, whitening=white)
     weighed = weighed.with_scale(weighed.at(point), options.told_from_model)
@@ -211,8 +253,7 @@ def _training_below(
 ) -> Training:
     """Return the training records below another limit, weighed by the found model's residual."""
     records = tuple(ForceRecord.of(r, hold, limit_hz, max(limit_hz, law_hz)) for r in train)
-    missing = [r.missing_force(point) for r in records]
-    centred = [m - m.mean(axis=0) for m in missing]
+    centred = _centred(r.missing_force(point) for r in records)
     white = whitening_of(centred, [r.band.row_s for r in records], limit_hz)
     blocks = Blocks.of([r.rows for r in records], options.blocks)
     n = len(point.model.dof)

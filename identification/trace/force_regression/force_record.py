@@ -82,7 +82,7 @@ class ForceRecord:
         return cls(record.name, band, signals, band.kept_derivatives(), record.places.decoupling)
 
     def counted_from(self, row: int) -> ForceRecord:
-        """Return the record with only the rows that count behind a row, and an edge as at its begin.
+        """Return the record with only the rows that count behind a row and an edge as at its begin.
 
         What comes before it sets the state of laws that have a memory.
         """

@@ -1,4 +1,4 @@
-"""Compute standard errors of all numbers of a model: from blocks of time, and from the band."""
+"""Compute standard errors of all numbers of a model: from blocks of time, band and noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def standard_errors(point: ForceModel, training: Training, others: Sequence[Trai
 
     The numbers are parameters, then amplitudes and shapes of each effect. Errors come from the
     scatter of blocks (what a model lacks is coloured, and correlates with its columns), and from
-    the largest change by a fit in another band.
+    the largest change by a fit to `others`: in another band, or with more noise in the motion.
     """
     at = training.at(point)
     columns = training.columns(at)

@@ -25,16 +25,17 @@ _ROWS_PER_NUMBER = 5.0
 
 
 def residual_of_richest(
-    point: ForceModel, records: Sequence[ForceRecord], own: Sequence[Array]
+    point: ForceModel, records: Sequence[ForceRecord], own: Sequence[Array], unlisted: bool = False
 ) -> list[Array]:
     """Return what the model's columns `own` (C, rows, n) and a free form leave of each record.
 
-    The form has polynomials in each position, speed and command, friction that turns at two speeds
-    and changes with position and load, and products of two signals, in each equation. It has
-    neither the command nor the acceleration by itself: with both free, every equation is true. It
-    is fitted to all records, without weights.
+    The form has polynomials in each position, speed and command, friction that turns at two speeds,
+    and products of two signals, in each equation. It has neither the command nor the acceleration
+    by itself, nor friction that grows with the command: with both free, every equation is true. It
+    is fitted to all records, without weights. unlisted: with friction that changes along the way,
+    which the table of effects lacks.
     """
-    whole = [_columns(r, point) for r in records]
+    whole = [_columns(r, point, unlisted) for r in records]
     missing = [r.missing_force(point) for r in records]
     left = [np.zeros_like(m) for m in missing]
     # Two rows per period of the limit are independent.
@@ -66,28 +67,27 @@ def _centred(values: Array) -> Array:
     return np.asarray(values - values.mean(axis=0))
 
 
-def _columns(record: ForceRecord, point: ForceModel) -> Array:
+def _columns(record: ForceRecord, point: ForceModel, unlisted: bool) -> Array:
     """Return the columns of the form (rows, C)."""
     s = record.signals
-    forces = _forms(s)
+    forces = _forms(s, unlisted)
     found = [record.band.smoothed(np.stack(forces, axis=1))]
     for held in _held_forms(s):
         found.append(record.force_of_command(point.model, held))
     return np.hstack(found)
 
 
-def _forms(s: Signals) -> list[Array]:
+def _forms(s: Signals, unlisted: bool) -> list[Array]:
     motion = [*_scaled(s.q), *_scaled(s.qd)]
     found = []
     for x in motion:
         found += list(_polynomials(x, _DEGREE))
-    acting = _scaled(s.acting(s.coil))
     for place, speed in zip(_scaled(s.q), s.qd.T, strict=True):
         rms = max(float(speed.std()), np.finfo(float).tiny)
-        grows = [*_polynomials(place, _ALONG), *(np.abs(u) for u in acting)]
         for turn in _TURNS:
             rubs = np.tanh(speed / (turn * rms))
-            found += [rubs, *(rubs * factor for factor in grows)]
+            found += [rubs, *(rubs * _polynomials(place, _ALONG) if unlisted else ())]
+    acting = _scaled(s.acting(s.coil))
     every = [*motion, *acting]
     for a in range(len(every)):
         for b in range(a):

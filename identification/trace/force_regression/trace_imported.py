@@ -157,6 +157,8 @@ def _traced(
         for step in BAND_STEPS
         if step != _MIDDLE
     ]
+    noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
+    others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, options))
     errors = standard_errors(found.point, training, others)
     progress("reporting on unseen rows", 0.95)
     noise = stated_noise([r.experiment for r in records])
@@ -168,7 +170,7 @@ def _traced(
         for point in (declared, found.point)
     )
     whole = Beside.of(found.point, training)
-    left = residual_of_richest(found.point, fitted, _plain_columns(whole))
+    left = residual_of_richest(found.point, fitted, _plain_columns(whole), unlisted=True)
     acting = [r.acting_force(found.point) for r in fitted]
     form = np.where(np.isnan(training.reference), _rms(left), np.nan)
     force = _rms(acting)
@@ -259,6 +261,17 @@ def _training_below(
     n = len(point.model.dof)
     training = Training(records, white, blocks, np.zeros((3, n)), np.full(n, np.nan))
     return training.with_scale(training.at(replace(point, placed=())), options.told_from_model)
+
+
+def _noisier(record: TraceRecord, sd: Array, seed: int) -> TraceRecord:
+    """Return a record with twice the variance of the outputs' noise, of deviation sd (n,).
+
+    What the noise of motion does to the numbers of a law, as much more of it does once more (Cook
+    and Stefanski, *Simulation-extrapolation estimation*, J. Am. Stat. Assoc. 89, 1994).
+    """
+    e = record.experiment
+    more = sd * np.random.default_rng(seed).normal(size=e.y.shape)
+    return replace(record, experiment=replace(e, y=e.y + more))
 
 
 def _split(record: TraceRecord, reported: float) -> tuple[TraceRecord, TraceRecord]:

@@ -17,8 +17,9 @@ _ELEMENTS = 20
 """Number of elements of a yielding spring, enough for a smooth curve."""
 _RADIANS = 0.15
 """Largest phase of a resonance per step; the relative frequency error is its square over 24."""
-_STEP = 0.2
-"""Largest step of the Bouc-Wen equation, over the break-away displacement."""
+_STEP, _RESTS = 0.2, 1e-12
+"""Largest step of the Bouc-Wen equation over the break-away displacement, and least change of its
+force by a step: with less it has come to its limit."""
 
 
 def lagged(values: Array, tau_s: float, Ts_s: float) -> Array:
@@ -235,7 +236,9 @@ def _bouc_wen(x, break_away, sharpness, shape):  # type: ignore[no-untyped-def]
             for share in (0.5, 1.0):
                 turned = shape if half * dx > 0 else -shape
                 half = z + share * dx * (1 - abs(half) ** sharpness * (turned + 1 - shape))
-            z = half
+            moved, z = abs(half - z), half
+            if moved < _RESTS:  # all further steps of this row are in the same direction
+                break
         out[k] = z
     return out
 

@@ -66,7 +66,8 @@ class Training:
     holds times any factor, and some declared number sets its scale. An effect that cancels what
     sets the scale would lower the error by lowering all forces: so errors count more where effects
     lower the force that sets the scale. If all terms of an equation are free, and only parameters
-    that it shares with another one tie its scale, errors count relative to its inputs' force.
+    that it shares with another one tie its scale, errors count relative to its inputs' force, and
+    without an input to its largest force.
 
     scale (3, n): whether the force of inputs, of inertia or of all else sets it, 1 or 0. reference
     (n,): power of that force at the begin, nan where a declared number sets the scale.
@@ -258,9 +259,11 @@ class Training:
                 left = force - Q @ (Q.T @ force)
                 scale[kind, i] = left @ left > told_from_model * float(force @ force)
         free = ~scale.any(axis=0)
-        scale[0, free] = 1.0
-        pushed = np.sum([np.sum(g[0] ** 2, axis=0) for g in at.groups], axis=0)
-        return replace(self, scale=scale, reference=np.where(free, pushed, np.nan))
+        powers = np.sum([np.sum(g**2, axis=1) for g in at.groups], axis=0)
+        first = np.where(powers[0] > 0.0, 0, np.argmax(powers, axis=0))
+        scale[first[free], np.flatnonzero(free)] = 1.0
+        reference = powers[first, np.arange(n)]
+        return replace(self, scale=scale, reference=np.where(free, reference, np.nan))
 
     def counts(self, at: Evaluated, amplitudes: Array, pull: Array) -> NDArray[np.bool_]:
         """Return whether an effect's change of the power counts for each DOF (n,)."""

@@ -21,7 +21,7 @@ from functools import partial
 
 import numpy as np
 
-from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import bouc_wen, dahl, lugre, slip
 from .operating_range import Extent
 
@@ -35,6 +35,8 @@ LAWS = tuple(
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of the Maxwell elements, relative to the smallest."""
 _WIDE = 1e3
+_STILL = 1e-4
+"""Change of q' / v_s in a row below which its tanh is that of the row, to 1e-9."""
 _LOOPS = "several amplitudes of a slow excitation"
 _ELASTIC = "without slip: stiffness; with fast full slip: offset"
 
@@ -195,23 +197,45 @@ def _turn(shape: Sequence[float]) -> tuple[float, ...]:
 
 
 def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    return [on_dof(signals, dof, -np.tanh(signals.qd[:, dof] / shape[0]))]
+    return [on_dof(signals, dof, -_turned(signals, dof, shape[0]))]
+
+
+def _turned(signals: Signals, dof: int, v_s: float) -> Array:
+    """Return tanh(q' / v_s) (N,); of imported records its mean around each row.
+
+    Friction that turns faster than the records are sampled would else be known to a row only. The
+    speed is linear between the rows' middles, so the mean is a difference of ln cosh.
+    """
+    speed = signals.qd[:, dof] / v_s
+    if signals.places.beam:
+        return np.asarray(np.tanh(speed))
+    middle = 0.5 * (speed[1:] + speed[:-1])
+    first, last = np.append(speed[0], middle), np.append(middle, speed[-1])
+    change = last - first
+    moves = np.abs(change) > _STILL
+    mean = np.divide(_ln_cosh(last) - _ln_cosh(first), change, out=np.tanh(speed), where=moves)
+    return np.asarray(mean)
+
+
+def _ln_cosh(x: Array) -> Array:
+    size = np.abs(x)
+    return np.asarray(size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0))
 
 
 def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     ratio = signals.qd[:, dof] / shape[0]
-    sliding = -np.tanh(ratio / shape[1])
+    sliding = -_turned(signals, dof, shape[0] * shape[1])
     return [on_dof(signals, dof, v) for v in (sliding, sliding * np.exp(-(ratio**2)))]
 
 
 def _coulomb_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    s = np.tanh(signals.qd[:, dof] / shape[0])
+    s = _turned(signals, dof, shape[0])
     return [on_dof(signals, dof, v) for v in (-s, -s * s)]
 
 
 def _stribeck_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     ratio = signals.qd[:, dof] / shape[0]
-    s = np.tanh(ratio / shape[1])
+    s = _turned(signals, dof, shape[0] * shape[1])
     return [on_dof(signals, dof, v) for v in (-s, -s * np.exp(-(ratio**2)), -s * s)]
 
 

@@ -204,17 +204,33 @@ def _turned(signals: Signals, dof: int, v_s: float) -> Array:
     """Return tanh(q' / v_s) (N,); of imported records its mean around each row.
 
     Friction that turns faster than the records are sampled would else be known to a row only. The
-    speed is linear between the rows' middles, so the mean is a difference of ln cosh.
+    speed is linear between the rows' middles, so the mean is a difference of ln cosh. A Stribeck
+    peak is that of the row.
     """
-    speed = signals.qd[:, dof] / v_s
     if signals.places.beam:
-        return np.asarray(np.tanh(speed))
+        return np.asarray(np.tanh(signals.qd[:, dof] / v_s))
+    first, last, at = _around(signals.qd[:, dof] / v_s)
+    return _slope(_ln_cosh(last) - _ln_cosh(first), last - first, np.tanh(at))
+
+
+def _turned_squared(signals: Signals, dof: int, v_s: float) -> Array:
+    """Return the same of tanh(q' / v_s)^2, whose integral is x - tanh x."""
+    if signals.places.beam:
+        return np.asarray(np.tanh(signals.qd[:, dof] / v_s) ** 2)
+    first, last, at = _around(signals.qd[:, dof] / v_s)
+    return 1.0 - _slope(np.tanh(last) - np.tanh(first), last - first, 1.0 - np.tanh(at) ** 2)
+
+
+def _around(speed: Array) -> tuple[Array, Array, Array]:
+    """Return the speed half a row before and behind each row, and in the middle of these (N,)."""
     middle = 0.5 * (speed[1:] + speed[:-1])
     first, last = np.append(speed[0], middle), np.append(middle, speed[-1])
-    change = last - first
-    moves = np.abs(change) > _STILL
-    mean = np.divide(_ln_cosh(last) - _ln_cosh(first), change, out=np.tanh(speed), where=moves)
-    return np.asarray(mean)
+    return first, last, 0.5 * (first + last)
+
+
+def _slope(rise: Array, change: Array, still: Array) -> Array:
+    """Return rise over change (N,), and `still` where nearly nothing changes."""
+    return np.divide(rise, change, out=still, where=np.abs(change) > _STILL)
 
 
 def _ln_cosh(x: Array) -> Array:
@@ -229,14 +245,15 @@ def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Ter
 
 
 def _coulomb_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    s = _turned(signals, dof, shape[0])
-    return [on_dof(signals, dof, v) for v in (-s, -s * s)]
+    s, squared = _turned(signals, dof, shape[0]), _turned_squared(signals, dof, shape[0])
+    return [on_dof(signals, dof, v) for v in (-s, -squared)]
 
 
 def _stribeck_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     ratio = signals.qd[:, dof] / shape[0]
-    s = _turned(signals, dof, shape[0] * shape[1])
-    return [on_dof(signals, dof, v) for v in (-s, -s * np.exp(-(ratio**2)), -s * s)]
+    v_s = shape[0] * shape[1]
+    s, squared = _turned(signals, dof, v_s), _turned_squared(signals, dof, v_s)
+    return [on_dof(signals, dof, v) for v in (-s, -s * np.exp(-(ratio**2)), -squared)]
 
 
 def _dahl(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

@@ -107,15 +107,23 @@ def test_gravity_needs_an_angle():
 # Equations, written again. Each returns the force on the DOF or the addition to the command.
 
 
+def around_rows(law, v):
+    """Return the mean of a law over the speeds (N,) between the middles of rows, by quadrature."""
+    middle = 0.5 * (v[1:] + v[:-1])
+    first, last = np.append(v[0], middle), np.append(middle, v[-1])
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    points = np.multiply.outer(0.5 * (last - first), nodes) + 0.5 * (first + last)[:, None]
+    return 0.5 * law(points) @ weights
+
+
 def sliding(q, v, F, friction, asymmetry, v_s):
-    direction = np.tanh(v / v_s)
-    return -(friction + asymmetry * direction) * direction
+    direction = around_rows(lambda v: np.tanh(v / v_s), v)
+    return -friction * direction - asymmetry * around_rows(lambda v: np.tanh(v / v_s) ** 2, v)
 
 
 def stribeck(q, v, F, friction, peak, asymmetry, v_s, turn):
-    direction = np.tanh(v / (turn * v_s))
-    level = friction + peak * np.exp(-((v / v_s) ** 2)) + asymmetry * direction
-    return -level * direction
+    level = friction + peak * np.exp(-((v / v_s) ** 2))
+    return sliding(q, v, F, level, asymmetry, turn * v_s)
 
 
 def dead_zone_spring(q, v, F, k, q0, half):
@@ -253,8 +261,53 @@ def test_friction_of_two_levels_has_these_levels():
     effect = table()["friction.coulomb_asymmetric"]
     force = Placed(effect, (1e-4,), (0.5, 0.2)).term(s).force[:, 0]
     v = s.qd[:, 0]
-    np.testing.assert_allclose(force[v > 0.01], -0.7)
-    np.testing.assert_allclose(force[v < -0.01], 0.3)
+    # Rows beside a reversal have a part of each.
+    assert not np.any(force[v > 0.01] > 0.3)
+    away = np.convolve(np.abs(v) < 0.01, np.ones(3), "same") + (np.abs(v) < 0.2) == 0.0
+    np.testing.assert_allclose(force[away & (v > 0.0)], -0.7)
+    np.testing.assert_allclose(force[away & (v < 0.0)], 0.3)
+
+
+def test_a_reversal_within_a_row_gives_the_mean_force_of_its_two_sides():
+    s = moving()
+    extent = Extent((0.1,), (1.0,), 0.1, 5.0, 0.0)
+    effect = {e.key: e for e in all_effects(places(), extent)}["friction.coulomb"]
+    force = Placed(effect, (1e-9,), (1.0,)).term(s).force[:, 0]
+    v = s.qd[:, 0]
+    k = int(np.flatnonzero(v[1:-1] * v[2:] < 0.0)[5]) + 1
+    first, last = 0.5 * (v[k - 1] + v[k]), 0.5 * (v[k] + v[k + 1])
+    np.testing.assert_allclose(force[k], -(abs(last) - abs(first)) / (last - first), atol=1e-6)
+
+
+def test_inputs_of_other_units_have_limits_of_their_own_size():
+    extent = Extent((1.0,), (1.0,), 1.0, 12.0, 0.0, largest=(0.2, 12.0))
+    assert extent.largest_command((0,)) == 0.2
+    assert extent.largest_command((0, 1)) == 12.0
+    assert Extent((1.0,), (1.0,), 1.0, 5.0, 0.0).largest_command((0,)) == 5.0
+
+
+def test_a_mass_on_a_spring_is_searched_below_the_highest_frequency():
+    slow = Extent((1.0,), (1.0,), 1.0, 5.0, 0.0, spans_s=((0.0, 60.0),), fastest_hz=1.5)
+    found = {e.key: e for e in all_effects(places(), slow)}["flexible_mode.loose_mass"]
+    starts = np.array([f for f, _ in found.grid])
+    assert found.shape[0].low <= 1.0 / 60.0
+    assert starts.max() < 1.5
+    assert starts.min() < 0.1
+    # An octave of a resonance with the damping ratio that fits start from is wider than this.
+    assert np.max(starts[:-1] / starts[1:]) < 1.3
+
+
+def test_an_input_moves_as_the_dof_that_it_pushes():
+    text = MODEL.replace(
+        "dof: [{name: angle, unit: rad}]",
+        "dof: [{name: motor, unit: rad}, {name: twist, unit: rad}]",
+    )
+    two = "[[1.0, 0.0], [0.0, 1.0]]"
+    text = text.replace("[[1.0]]", two) + "B: [[0.0], [-3.0]]\n"
+    few = imported_places(parse_text(text, ModelConfig, "arm"))
+    np.testing.assert_allclose(few.actuator_motion, [[0.0, 1.0]])
+    keys = {e.key for e in all_effects(few, Extent((1.0,) * 2, (1.0,) * 2, 1.0, 5.0, 0.0))}
+    assert {"actuator.times_speed", "force_constant.linear"} <= keys
 
 
 @pytest.mark.parametrize("way", ["opens", "closes"])

@@ -100,7 +100,11 @@ class Columns:
     prior: Array
 
     def left_out_errors(self) -> Array:
-        """Return each block's squared error (B,) by the coefficients of all other blocks.
+        """Return each block's squared error (B,) by the coefficients of all other blocks."""
+        return np.asarray(self.left_out_errors_by_dof().sum(axis=1))
+
+    def left_out_errors_by_dof(self) -> Array:
+        """Return the same of each DOF (B, n).
 
         The error of each DOF counts more where the model's forces become smaller: a model in which
         all forces are small explains nothing.
@@ -112,7 +116,7 @@ class Columns:
         power = np.einsum("bi,nij,bj->bn", whole, self.power, whole)
         now = self.power[:, -1, -1]
         relative = now / np.maximum(power, 1e-12 * np.maximum(now, np.finfo(float).tiny))
-        return np.asarray(np.sum(errors * np.maximum(relative, 1.0), axis=1))
+        return np.asarray(errors * np.maximum(relative, 1.0))
 
     def over(self, inside: NDArray[np.bool_]) -> Array:
         """Return the Gram matrix (C + 1, C + 1) of some blocks, over all DOF."""
@@ -152,15 +156,16 @@ def bounded(gains: Array, size: Array) -> Array:
 class Gain:
     """Squared errors that an effect takes of blocks that did not fit it (B,).
 
-    raw (B,): the same without the bound by what the effect does in a block. before (B,): squared
-    errors without the effect. size (B,): square of the change of the model's force in each block,
+    raw (B,): the same without the bound by what the effect does in a block. share: part of the
+    squared error without the effect that it takes, at the DOF where that is most: what another DOF
+    lacks is no measure of it. size (B,): square of the change of the model's force in each block,
     with all blocks fitted. others: for each record, what the effect takes of it if only the other
     records fit it, nan where these do not determine it (halves, if there is one record).
     """
 
     blocks: Array
     raw: Array
-    before: Array
+    share: float
     size: Array
     others: Array
 
@@ -173,11 +178,6 @@ class Gain:
     def standard_error(self) -> float:
         """Standard error of the mean."""
         return error_of_mean(self.blocks, self.size)
-
-    @property
-    def share(self) -> float:
-        """Part of the squared error without the effect that it takes."""
-        return float(self.blocks.sum() / max(self.before.sum(), np.finfo(float).tiny))
 
     @property
     def statistic(self) -> float:
@@ -206,8 +206,11 @@ def gain_of(
     The first `base` columns of `after` are the model's own, then follow those of the amplitudes of
     the effect that is judged, then of its shape, which is held where other records foretell one.
     """
-    without_it = before.left_out_errors()
-    raw = without_it - after.left_out_errors()
+    without_it = before.left_out_errors_by_dof()
+    by_dof = without_it - after.left_out_errors_by_dof()
+    taken, there = by_dof.sum(axis=0), without_it.sum(axis=0)
+    share = float(np.max(taken / np.maximum(there, np.finfo(float).tiny)))
+    raw = by_dof.sum(axis=1)
     blocks = np.minimum(raw, bounded(raw, size))
     groups = record if len(set(record.tolist())) > 1 else np.arange(len(record)) * 2 // len(record)
     few = after.only(range(base + amplitudes))
@@ -224,7 +227,7 @@ def gain_of(
             small = _with_fixed(own, base, extra)
             prior = _with_fixed(few.prior, base, 0.0 * extra)
             others[i] = at_home - squared_errors(small, fitted(small, prior))
-    return Gain(blocks, raw, without_it, size, others)
+    return Gain(blocks, raw, share, size, others)
 
 
 def _with_fixed(gram: Array, base: int, extra: Array) -> Array:

@@ -38,7 +38,9 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     unit = places.coil_unit
     limits = _LIMITS[:1] if places.beam else _LIMITS
     single = [((c,), "") for c in range(places.coils)]
-    together = [(tuple(range(places.coils)), ", same for all coils")] if places.coils > 1 else []
+    one_unit = places.beam or len(set(places.input_units)) == 1
+    every = tuple(range(places.coils))
+    together = [(every, ", same for all coils")] if places.coils > 1 and one_unit else []
     for coils, suffix in single + together:
         where = tuple(places.actuator(c) for c in coils)
         largest = extent.largest_command(coils)

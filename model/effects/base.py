@@ -156,6 +156,9 @@ class Signals:
     """Rows where a sensor's reading is frozen (N, S); None if there are none."""
     sensor_arms: tuple[float, ...] = ()
     """Relative errors of the sensors' arms by DOF (n,); empty if they stand where declared."""
+    around_rows: bool = False
+    """Whether a force that turns within a row is its mean around the row, not that of the row: the
+    force passes a low-pass then, and is not held or joined by lines from row to row."""
 
     @property
     def rows(self) -> int:

@@ -201,13 +201,13 @@ def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term
 
 
 def _turned(signals: Signals, dof: int, v_s: float) -> Array:
-    """Return tanh(q' / v_s) (N,); of imported records its mean around each row.
+    """Return tanh(q' / v_s) (N,), or its mean around each row.
 
     Friction that turns faster than the records are sampled would else be known to a row only. The
     speed is linear between the rows' middles, so the mean is a difference of ln cosh. A Stribeck
     peak is that of the row.
     """
-    if signals.places.beam:
+    if not signals.around_rows:
         return np.asarray(np.tanh(signals.qd[:, dof] / v_s))
     first, last, at = _around(signals.qd[:, dof] / v_s)
     return _slope(_ln_cosh(last) - _ln_cosh(first), last - first, np.tanh(at))
@@ -215,7 +215,7 @@ def _turned(signals: Signals, dof: int, v_s: float) -> Array:
 
 def _turned_squared(signals: Signals, dof: int, v_s: float) -> Array:
     """Return the same of tanh(q' / v_s)^2, whose integral is x - tanh x."""
-    if signals.places.beam:
+    if not signals.around_rows:
         return np.asarray(np.tanh(signals.qd[:, dof] / v_s) ** 2)
     first, last, at = _around(signals.qd[:, dof] / v_s)
     return 1.0 - _slope(np.tanh(last) - np.tanh(first), last - first, 1.0 - np.tanh(at) ** 2)

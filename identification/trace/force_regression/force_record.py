@@ -77,7 +77,7 @@ class ForceRecord:
         none = np.zeros(len(q))
         signals = Signals(
             e.Ts_s, record.time_s, q, qd, qdd, record.coil, none, none, none, none, none, none,
-            e.delay_cycles, record.places,
+            e.delay_cycles, record.places, around_rows=True,
         )  # fmt: skip
         return cls(record.name, band, signals, band.kept_derivatives(), record.places.decoupling)
 

@@ -67,9 +67,8 @@ def moving(lag_s: float = 0.0) -> Signals:
     )
     coil = COMMAND + 0.8 * rng.standard_normal((len(t), 1))
     nothing = np.zeros(len(t))
-    return Signals(
-        TS, t, q + MIDDLE, qd, qdd, coil, *(nothing for _ in range(6)), 1, places(), lag_s
-    )
+    others = tuple(nothing for _ in range(6))
+    return Signals(TS, t, q + MIDDLE, qd, qdd, coil, *others, 1, places(), lag_s, around_rows=True)
 
 
 @cache

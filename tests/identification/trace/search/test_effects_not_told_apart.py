@@ -96,13 +96,21 @@ def test_support_is_the_share_of_resamples_with_a_sure_gain(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rng = np.random.default_rng(5)
-    strong, weak = 50.0 + rng.standard_normal(BLOCKS), 0.5 + rng.standard_normal(BLOCKS)
-    monkeypatch.setattr(module, "removal_costs", lambda *_: [strong, weak])
-    placed = tuple(SimpleNamespace(effect=SimpleNamespace(identity=k)) for k in ("strong", "weak"))
+    noise = rng.standard_normal((4, BLOCKS))
+    few = np.where(np.arange(BLOCKS) % 8 == 0, 400.0, 0.0) + noise[1]
+    costs = {
+        "strong": 50.0 + noise[0],
+        "few": few,  # a coil that one record in eight excites
+        "weak": 36.0 / BLOCKS + noise[2],  # as much as is asked of an effect
+        "coloured": 100.0 * noise[3],  # of both signs: it is what is left, not the effect
+    }
+    monkeypatch.setattr(module, "removal_costs", lambda *_: list(costs.values()))
+    placed = tuple(SimpleNamespace(effect=SimpleNamespace(identity=k)) for k in costs)
     found = module.supports(SimpleNamespace(placed=placed), SimpleNamespace(), OPTIONS)
     assert found["strong"] == 1.0
-    # Its mean is 3.9 standard errors: most resamples are above three.
-    assert 0.5 < found["weak"] < 1.0
+    assert found["few"] > 0.95
+    assert found["weak"] < 0.5
+    assert found["coloured"] < 0.3  # resamples scatter around a sum that is 1.2 deviations off
 
 
 @pytest.mark.parametrize(("rises", "first"), [(False, "simple"), (True, "rich")])

@@ -18,6 +18,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
+from .force_units import unit_power
 from .operating_range import Extent
 from .point_force_conversion import heights
 
@@ -37,13 +38,14 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         return []
     found = []
     for c in range(places.coils):
-        where, unit, largest = (places.actuator(c),), places.coil_unit, extent.largest_command((c,))
+        where, unit = (places.actuator(c),), places.command_unit(c)
+        largest = extent.largest_command((c,))
         for name, title, equation, power in (
             ("squared", "Actuator with a squared characteristic", "force = F + a F |F|", 2),
             ("quadratic", "Quadratic nonlinearity of an actuator", "force = F + a F^2", 2),
             ("cubic", "Cubic nonlinearity of an actuator", "force = F + a F^3", 3),
         ):
-            per = f"1/{_single(unit)}" if power == 2 else f"1/{_single(unit)}^2"
+            per = f"1/{unit_power(unit, power - 1)}"
             found.append(
                 Effect(
                     f"actuator.{name}",
@@ -64,7 +66,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "actuator_nonlinearity",
                 where,
                 "force = F + a F q', q' the speed at the actuator as the command acts",
-                (Quantity("a", f"s/{places.actuator_unit(c)}"),),
+                (Quantity("a", f"s/{places.motion_unit(c)}"),),
                 partial(_times_speed, coil=c),
                 absorbed_by="mean command times speed: the declared damping",
                 told_apart_by="excitation around several constant commands",
@@ -119,7 +121,3 @@ def speed_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
     """Return the actuators' speeds (N, len(coils)) when each row's command acts, lag included."""
     ahead = signals.qd + signals.lag_s * signals.qdd
     return signals.when_acting(heights(ahead, signals.places.actuator_motion[list(coils)]))
-
-
-def _single(unit: str) -> str:
-    return unit if unit.isalpha() else f"({unit})"

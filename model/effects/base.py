@@ -85,7 +85,17 @@ class Places:
         """Motion of each actuator along its force, per unit of pose (C, n)."""
         return self.coil_shape if self.input_motion is None else self.input_motion
 
-    def actuator_unit(self, index: int) -> str:
+    def command_unit(self, index: int) -> str:
+        """Unit of an actuator's command: its input's, or where these are no inputs, the coils'."""
+        own = not self.beam and len(self.input_units) == self.coils
+        return self.input_units[index] if own else self.coil_unit
+
+    @property
+    def one_command_unit(self) -> bool:
+        """Whether all actuators have commands of one unit, and can have a limit in common."""
+        return len({self.command_unit(c) for c in range(self.coils)}) == 1
+
+    def motion_unit(self, index: int) -> str:
         """Unit of the motion of an actuator: that of the DOF that it pushes most."""
         if self.input_motion is None:
             return self.sensor_unit

@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
+from .force_units import unit_power
 from .lag_and_hysteresis_recursions import heat
 
 _WARM_S = 40.0
@@ -28,10 +29,10 @@ _LONG = "long records with the same excitation at begin and end of a session"
 def effects(places: Places) -> list[Effect]:
     """Return drift of offset and gain of every coil, and of the common gain of all coils."""
     found = []
-    unit = places.coil_unit
     every = tuple(range(places.coils))
     for coils in [*((c,) for c in every), *([every] if len(every) > 1 else [])]:
         where = tuple(places.actuator(c) for c in coils)
+        unit = places.command_unit(coils[0])
         suffix = ", same for all coils" if len(coils) > 1 else ""
         if not suffix:
             found.append(
@@ -47,7 +48,7 @@ def effects(places: Places) -> list[Effect]:
                     told_apart_by="long records",
                 )
             )
-        found += [
+        found.append(
             Effect(
                 "thermal_drift.time",
                 places.worded(f"Gain that drifts with time{suffix}"),
@@ -57,7 +58,11 @@ def effects(places: Places) -> list[Effect]:
                 (Quantity("rate", "1/s"),),
                 partial(_with_time, coils=coils),
                 told_apart_by=_LONG,
-            ),
+            )
+        )
+        if len(coils) > 1 and not places.one_command_unit:
+            continue  # one law of heat for all needs commands of one unit
+        found.append(
             Effect(
                 "thermal_drift.heat",
                 places.worded(f"Gain that falls with the coil's heat{suffix}"),
@@ -65,7 +70,7 @@ def effects(places: Places) -> list[Effect]:
                 where,
                 "force = (1 - a heat) F, heat' = (F^2 - heat) / tau; heat = 0 and F as in the "
                 "first row from `before` the session's first record on",
-                (Quantity("a", f"1/{unit}^2"),),
+                (Quantity("a", f"1/{unit_power(unit, 2)}"),),
                 partial(_with_heat, coils=coils),
                 (
                     Quantity("tau", "s", 0.5, 1000.0, log=True),
@@ -74,8 +79,8 @@ def effects(places: Places) -> list[Effect]:
                 ((_WARM_S, _BEFORE_S),),
                 absorbed_by=places.worded("in thermal equilibrium: the coil's gain"),
                 told_apart_by=_LONG,
-            ),
-        ]
+            )
+        )
     return found
 
 

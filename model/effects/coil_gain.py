@@ -41,7 +41,7 @@ def effects(places: Places) -> list[Effect]:
         )
         if _has_height(places):
             found += [_constant(places, (c,), power) for power in (1, 2)]
-    one_unit = len({places.actuator_unit(c) for c in range(places.coils)}) == 1
+    one_unit = len({places.motion_unit(c) for c in range(places.coils)}) == 1
     if _has_height(places) and places.coils > 1 and one_unit:
         found += [_constant(places, tuple(range(places.coils)), power) for power in (1, 2)]
     return found
@@ -52,7 +52,7 @@ def _constant(places: Places, coils: tuple[int, ...], power: int) -> Effect:
         1: ("linear", "Force constant that changes with the height"),
         2: ("quadratic", "Force constant that changes with the height squared"),
     }[power]
-    unit = places.actuator_unit(coils[0])
+    unit = places.motion_unit(coils[0])
     suffix = ", same for all coils" if len(coils) > 1 else ""
     return Effect(
         f"force_constant.{name}",

@@ -35,15 +35,13 @@ _TOLD_APART = "excitation of the coils one by one, at two amplitudes"
 def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return dead zone and saturation of every coil, and common ones of all coils."""
     found = []
-    unit = places.coil_unit
     limits = _LIMITS[:1] if places.beam else _LIMITS
     single = [((c,), "") for c in range(places.coils)]
-    one_unit = places.beam or len(set(places.input_units)) == 1
-    every = tuple(range(places.coils))
-    together = [(every, ", same for all coils")] if places.coils > 1 and one_unit else []
+    every, several = tuple(range(places.coils)), places.coils > 1 and places.one_command_unit
+    together = [(every, ", same for all coils")] if several else []
     for coils, suffix in single + together:
         where = tuple(places.actuator(c) for c in coils)
-        largest = extent.largest_command(coils)
+        unit, largest = places.command_unit(coils[0]), extent.largest_command(coils)
         found += [
             Effect(
                 "dead_zone",

@@ -26,6 +26,12 @@ def force_units(
     return tuple(_unit_of(row, input_units, parameter_units) for row in B)
 
 
+def unit_power(unit: str, power: int) -> str:
+    """Return a unit to a power, in brackets if it has several factors: m^2, (N m)^2, (N m)."""
+    single = unit if unit.isalpha() else f"({unit})"
+    return single if power == 1 else f"{single}^{power}"
+
+
 def _unit_of(
     row: Sequence[float | str], input_units: Sequence[str], parameter_units: Mapping[str, str]
 ) -> str:

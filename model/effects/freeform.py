@@ -288,8 +288,9 @@ def _effect(places: Places, where: str, form: Form) -> Effect:
         what, unit = "Force", places.force_unit(dof)
         build = partial(_forces, form=form, dof=dof)
     elif where in places.actuators:
-        what, unit = places.worded("Force of a coil"), places.coil_unit
-        build = partial(_commands, form=form, coil=places.actuators.index(where))
+        coil = places.actuators.index(where)
+        what, unit = places.worded("Force of a coil"), places.command_unit(coil)
+        build = partial(_commands, form=form, coil=coil)
     else:
         sensor = int(where.partition(":")[2])
         what, unit = "Reading", places.sensor_unit

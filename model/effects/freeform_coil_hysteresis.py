@@ -53,13 +53,14 @@ def _scale(extent: Extent, coil: int) -> float:
 
 def _hysteresis(places: Places, coil: int, scale: float) -> Effect:
     widths = ", ".join(f"{scale * w:.3g}" for w in _WIDTHS)
+    unit = places.command_unit(coil)
     return Effect(
         f"unknown.hysteresis.command[{scale:g}]",
         places.worded("Force of a coil that depends on its command with hysteresis"),
         "unknown",
         (places.actuator(coil),),
-        f"sum of c_k s_k, s_k' = F'/r_k within -1 .. 1, r_k = {widths} {places.coil_unit}",
-        tuple(Quantity(f"c{k}", places.coil_unit) for k in range(1, len(_WIDTHS) + 1)),
+        f"sum of c_k s_k, s_k' = F'/r_k within -1 .. 1, r_k = {widths} {unit}",
+        tuple(Quantity(f"c{k}", unit) for k in range(1, len(_WIDTHS) + 1)),
         partial(_forces, coil=coil, scale=scale),
         initial_force_decay=partial(_remains, coil=coil, scale=scale),
         told_apart_by=places.worded(

@@ -92,7 +92,7 @@ def _force(
     least, most = _GAP_BOUNDS
     y0 = Quantity("y0", unit, least * largest, most * largest, log=True)
     least, most = _CURRENT_BOUNDS
-    i0 = Quantity("i0", places.coil_unit, least * command, most * command, log=True)
+    i0 = Quantity("i0", places.command_unit(coil), least * command, most * command, log=True)
     gap = f"(y0 {'+' if way == 'opens' else '-'} y)"
     current = f"(i0 {'+' if at[1] >= 0.0 else '-'} i)"
     return Effect(

@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .force_units import unit_power
 from .operating_range import Extent
 from .point_force_conversion import forces, heights
 
@@ -43,7 +44,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     effect_class,
                     (dof,),
                     f"force = -k{power} q^{power}",
-                    (Quantity(f"k{power}", f"{force}/{_power(unit, power)}"),),
+                    (Quantity(f"k{power}", f"{force}/{unit_power(unit, power)}"),),
                     partial(_power_of_pose, dof=i, power=power),
                     absorbed_by=_LINEAR,
                     told_apart_by="two amplitudes of excitation, several beam positions",
@@ -99,7 +100,3 @@ def _corners(signals: Signals, _shape: Sequence[float]) -> list[Term]:
     s = signals.places.sensor_shape[far > 0.99 * far.max()]
     h = heights(signals.q, s)
     return [Term(force=-forces(h * h * h, s))]
-
-
-def _power(unit: str, power: int) -> str:
-    return f"{unit}^{power}" if unit.isalpha() else f"({unit})^{power}"

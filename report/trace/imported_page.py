@@ -17,7 +17,7 @@ from ...identification.trace.force_regression.force_trace_summary import (
     force_outcome,
     model_with_effects,
 )
-from ...identification.trace.force_regression.search import Rated
+from ...identification.trace.force_regression.rated_candidate import Rated
 from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
@@ -63,9 +63,9 @@ def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
             text += " These records do not tell its members apart."
         if law.doubtful:
             text += (
-                " It is in doubt: what is left, and what a free form of all signals explains, is "
-                f"{100 * law.left_over_taken:.2g} % of what it takes of the squared missing force. "
-                "If what is there is not in the table, the best of the table takes something too."
+                f" It is in doubt: it leaves {100 * law.left_share:.2g} % of the squared missing "
+                "force that a free form of all signals explains. If what is there is not in the "
+                "table, the best of the table takes something too."
             )
         if law.laws:
             names = ", ".join(r.placed.effect.title for r in law.laws)

@@ -78,7 +78,7 @@ def test_forces_and_motion_of_a_case_balance(plant: str, law: str) -> None:
     inertia, rest = m.a @ linear.M.T, m.w @ linear.D.T + m.q @ linear.K.T
     left = inertia + rest - m.u @ linear.B.T - m.effect
     # Means of position and speed over a step are those of its ends, of which the rule takes the
-    # middle: an error of the order (omega h)^2.
+    # middle: an error of the order (h d / m)^2, 0.6 % for a pendulum in a drag that stops it.
     assert np.all(left.std(axis=0) < 1e-2 * (inertia.std(axis=0) + rest.std(axis=0)))
     if LAWS[law].kind not in (Kind.NONE, Kind.SINE, Kind.MAGNET):
         assert 0.2 * SIZES[0] < drawn.size < 1.5 * SIZES[1]

@@ -14,8 +14,8 @@ from ....config.model import EffectParameter, ModelConfig, ModelEffect
 from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from ...json_data import plain_json
+from .rated_candidate import Rated
 from .reported_errors import PooledError
-from .search import Rated
 from .trace_imported import ForceTrace, pooled_errors
 
 Array = NDArray[np.float64]
@@ -42,8 +42,8 @@ class FoundLaw:
     support: share of bootstrap samples of the blocks in which an effect of this class at this place
     gains most. `alternatives` are of other classes or places, each with its support: these records
     do not tell them apart. laws: other laws of the same class and place, not told apart either.
-    left_over_taken: what the model leaves of the squared missing force that a free form explains,
-    over what the law takes. least_gain: what an effect must take.
+    left_share: share of the squared missing force without it that is left with it, of what a free
+    form explains. least_gain: share that an effect must take.
     """
 
     rated: Rated
@@ -51,16 +51,16 @@ class FoundLaw:
     support: float
     alternatives: tuple[Rated, ...]
     laws: tuple[Rated, ...]
-    left_over_taken: float
+    left_share: float
     least_gain: float
 
     @property
     def doubtful(self) -> bool:
-        """Whether the name is uncertain: a law that is right leaves far less than it takes.
+        """Whether the name is uncertain: a law that is right leaves far less.
 
         If what is there is not in the table, the best law still explains a part of it.
         """
-        return not self.free and self.left_over_taken > self.least_gain
+        return not self.free and self.left_share > self.least_gain
 
     @property
     def placed(self) -> Placed:
@@ -284,7 +284,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         for p, own in zip(trace.found.point.placed, _parameters(trace), strict=True)
     }
     laws = []
-    for rated, left in zip(trace.found.rated, trace.left_over_taken, strict=True):
+    for rated, left in zip(trace.found.rated, trace.left_share, strict=True):
         own = _kind(rated)
         same = tuple(r for r in rated.alternatives if _kind(r) == own)
         others = tuple(r for r in rated.alternatives if _kind(r) != own)
@@ -312,7 +312,7 @@ def _effect(law: FoundLaw) -> dict[str, Any]:
         "force_share": rated.force,
         "other_records": [None if not math.isfinite(g) else g > 0.0 for g in rated.gain.others],
         "laws_not_told_apart": [_named(r) for r in law.laws],
-        "left_over_taken": law.left_over_taken,
+        "left_share": law.left_share,
         "doubtful": law.doubtful,
         "absorbed_by": effect.absorbed_by,
         "told_apart_by": effect.told_apart_by,

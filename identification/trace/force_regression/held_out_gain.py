@@ -99,6 +99,10 @@ class Columns:
     power: Array
     prior: Array
 
+    def coefficients(self) -> Array:
+        """Return the coefficients (C,) of the fit to all blocks and DOF."""
+        return fitted(self.grams.sum(axis=(0, 1)), self.prior)
+
     def left_out_errors(self) -> Array:
         """Return each block's squared error (B,) by the coefficients of all other blocks."""
         return np.asarray(self.left_out_errors_by_dof().sum(axis=1))

@@ -14,7 +14,8 @@ from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate
 from .force_record import ForceModel
-from .search import Rated, Searched, confirmed, rated_beside
+from .rated_candidate import Rated, confirmed, rated_beside
+from .search import Searched
 from .training_records import Training
 
 

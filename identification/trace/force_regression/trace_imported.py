@@ -57,9 +57,9 @@ class ForceTrace:
     declared: the refitted model without new effects; found: the search's result; errors: standard
     errors of its numbers. before, after: errors on the reported rows. free_form (n,): what a free
     form of all signals leaves of the acting force in the fitted rows, in per cent, nan where all
-    terms of an equation are free. left_over_taken: for each effect found, what the model leaves of
-    the squared missing force that such a form explains, over what the effect takes. noise_sd (n,):
-    of each output; noise_stated: whether the signals files state it. fitted, reported: the records
+    terms of an equation are free. left_share: for each effect found, the share of the squared
+    missing force without it that is left with it, of what such a form explains. noise_sd (n,): of
+    each output; noise_stated: whether the signals files state it. fitted, reported: the records
     below the band's limit `limit_hz`.
     """
 
@@ -71,7 +71,7 @@ class ForceTrace:
     before: tuple[ReportedError, ...]
     after: tuple[ReportedError, ...]
     free_form: Array
-    left_over_taken: tuple[float, ...]
+    left_share: tuple[float, ...]
     noise_sd: Array
     noise_stated: bool
     limit_hz: float
@@ -172,23 +172,23 @@ def _traced(
     whole = Beside.of(found.point, training)
     left = residual_of_richest(found.point, fitted, _plain_columns(whole), unlisted=True)
     acting = [r.acting_force(found.point) for r in fitted]
-    form = np.where(np.isnan(training.reference), _rms(left), np.nan)
+    form = np.where(training.all_free, np.nan, _rms(left))
     force = _rms(acting)
     return ForceTrace(
         config, places, declared, found, errors, before, after, 100.0 * form / force,
-        _left_over_taken(found, training, form / force, options), sd, noise is not None,
+        _left_share(found, training, form / force, options), sd, noise is not None,
         limit_hz, fitted, reported, (*notes, *table.notes), options,
     )  # fmt: skip
 
 
-def _left_over_taken(
+def _left_share(
     found: Searched, training: Training, form: Array, options: SearchOptions
 ) -> tuple[float, ...]:
-    """Return for each effect what the model leaves of the squared missing force, over what the
-    effect takes of it beside the others.
+    """Return for each effect the share of the squared missing force without it, the others fitted
+    again, that is left with it.
 
-    form (n,): what a free form leaves, over the acting force; only what is left beyond it counts,
-    at the DOF that have a form (not nan), and only if an effect must take as much.
+    form (n,): what a free form leaves, over the acting force; only what is beyond it counts, at the
+    DOF that have a form (not nan), and only if an effect must take as much.
     """
     plain, tied = training.plain(), np.isfinite(form)
 
@@ -202,8 +202,8 @@ def _left_over_taken(
         identity = rated.placed.effect.identity
         others = tuple(p for p in found.point.placed if p.effect.identity != identity)
         without = missing(training.fit(replace(found.point, placed=others)))
-        taken = float(np.sum(without**2 - after**2))
-        shares.append(float(beyond.sum() / max(taken, np.finfo(float).tiny)))
+        there = beyond.sum() + max(float(np.sum(without**2 - after**2)), 0.0)
+        shares.append(float(beyond.sum() / there) if there > 0.0 else 0.0)
     return tuple(shares)
 
 
@@ -219,16 +219,18 @@ def _weighed(
     flat = np.maximum(np.var(acting, axis=1).max(axis=0), np.finfo(float).tiny) * np.ones((2, 1))
     plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
     blocks = Blocks.of([r.rows for r in fitted], options.blocks)
-    n = len(start.model.dof)
-    training = Training(fitted, plain, blocks, np.zeros((3, n)), np.full(n, np.nan))
+    training = Training(
+        fitted, plain, blocks, np.zeros((3, n)), np.full(n, np.nan), np.zeros(n, bool)
+    )
     training = training.with_scale(training.at(start), options.told_from_model)
     point = training.first_fit(start)
     beside = Beside.of(point, training)
     left = residual_of_richest(point, fitted, _plain_columns(beside))
     missing = _centred(r.missing_force(point) for r in fitted)
     # If all terms of an equation are free, a free form explains all of it and tells nothing.
-    tied = np.isnan(training.reference)
-    left = [np.where(tied, form, plain) for form, plain in zip(left, missing, strict=True)]
+    left = [
+        np.where(training.all_free, plain, form) for form, plain in zip(left, missing, strict=True)
+    ]
     white = whitening_of(left, [r.band.row_s for r in fitted], limit_hz)
     weighed = replace(training, whitening=white)
     weighed = weighed.with_scale(weighed.at(point), options.told_from_model)
@@ -258,8 +260,9 @@ def _training_below(
     centred = _centred(r.missing_force(point) for r in records)
     white = whitening_of(centred, [r.band.row_s for r in records], limit_hz)
     blocks = Blocks.of([r.rows for r in records], options.blocks)
-    n = len(point.model.dof)
-    training = Training(records, white, blocks, np.zeros((3, n)), np.full(n, np.nan))
+    training = Training(
+        records, white, blocks, np.zeros((3, n)), np.full(n, np.nan), np.zeros(n, bool)
+    )
     return training.with_scale(training.at(replace(point, placed=())), options.told_from_model)
 
 

@@ -70,7 +70,9 @@ class Training:
     without an input to its largest force.
 
     scale (3, n): whether the force of inputs, of inertia or of all else sets it, 1 or 0. reference
-    (n,): power of that force at the begin, nan where a declared number sets the scale.
+    (n,): power of that force at the begin, nan where a declared number sets the scale. all_free
+    (n,): equations of which every term is free, so that a free form explains them whatever they
+    are; an input with a declared gain is a term that is not.
     """
 
     records: tuple[ForceRecord, ...]
@@ -78,6 +80,16 @@ class Training:
     blocks: Blocks
     scale: Array
     reference: Array
+    all_free: NDArray[np.bool_]
+
+    @classmethod
+    def unscaled(
+        cls, records: tuple[ForceRecord, ...], whitening: Whitening, blocks: Blocks
+    ) -> Training:
+        """Return training records before `with_scale` has found what sets the equations' scale."""
+        n = records[0].kept[0].shape[1]
+        none = np.full(n, np.nan), np.zeros(n, bool)
+        return cls(records, whitening, blocks, np.zeros((3, n)), *none)
 
     def at(self, point: ForceModel) -> Evaluated:
         """Return the missing force of a model, and the forces that it consists of."""
@@ -251,19 +263,31 @@ class Training:
         scale = np.zeros((3, n))
         for i in range(n):
             J = np.concatenate([c[:, :, i] for c in columns], axis=1).T
-            size = np.linalg.norm(J, axis=0)
-            Q, R = np.linalg.qr(J[:, size > 0.0] / size[size > 0.0])
-            Q = Q[:, np.abs(np.diag(R)) > 1e-10]
             for kind in range(3):
                 force = np.concatenate([g[kind, :, i] for g in at.groups])
-                left = force - Q @ (Q.T @ force)
+                left = _beside(J, force)
                 scale[kind, i] = left @ left > told_from_model * float(force @ force)
         free = ~scale.any(axis=0)
         powers = np.sum([np.sum(g**2, axis=1) for g in at.groups], axis=0)
         first = np.where(powers[0] > 0.0, 0, np.argmax(powers, axis=0))
         scale[first[free], np.flatnonzero(free)] = 1.0
         reference = powers[first, np.arange(n)]
-        return replace(self, scale=scale, reference=np.where(free, reference, np.nan))
+        return replace(
+            self,
+            scale=scale,
+            reference=np.where(free, reference, np.nan),
+            all_free=self._all_free(at, told_from_model),
+        )
+
+    def _all_free(self, at: Evaluated, told_from_model: float) -> NDArray[np.bool_]:
+        """Return where a change of the parameters changes all forces in proportion (n,)."""
+        changes, found = self.group_columns(at), []
+        for i in range(len(at.power)):
+            J = np.hstack([c[..., i].reshape(len(c), -1) for c in changes]).T
+            force = np.concatenate([g[..., i].reshape(-1) for g in at.groups])
+            left = _beside(J, force)
+            found.append(left @ left <= told_from_model * float(force @ force))
+        return np.array(found)
 
     def counts(self, at: Evaluated, amplitudes: Array, pull: Array) -> NDArray[np.bool_]:
         """Return whether an effect's change of the power counts for each DOF (n,)."""
@@ -305,6 +329,14 @@ class Training:
     def _weighed(self, record: ForceRecord, values: Array) -> Array:
         white = self.whitening.apply(values, record.band.row_s)
         return np.asarray(white - white.mean(axis=-2, keepdims=True))
+
+
+def _beside(J: Array, force: Array) -> Array:
+    """Return what columns (rows, C) leave of a force (rows,)."""
+    size = np.linalg.norm(J, axis=0)
+    Q, R = np.linalg.qr(J[:, size > 0.0] / size[size > 0.0])
+    Q = Q[:, np.abs(np.diag(R)) > 1e-10]
+    return np.asarray(force - Q @ (Q.T @ force))
 
 
 def missing_share(at: Evaluated) -> Array:

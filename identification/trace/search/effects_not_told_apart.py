@@ -201,8 +201,8 @@ def supports(
     found = {}
     for placed, cost in zip(point.placed, removal_costs(point, train), strict=True):
         some = cost[rng.integers(len(cost), size=(options.resamples, len(cost)))]
-        lost, gained = np.maximum(some, 0.0), np.minimum(some, 0.0)
-        error = np.sqrt(4.0 * lost.sum(axis=1) + 2.0 * (gained**2).sum(axis=1))
+        apart = 2.0 * float(np.sum(np.minimum(cost, 0.0) ** 2))
+        error = np.sqrt(4.0 * np.maximum(some.sum(axis=1), 0.0) + apart)
         found[placed.effect.identity] = float(
             np.mean(some.sum(axis=1) > options.standard_errors * error)
         )

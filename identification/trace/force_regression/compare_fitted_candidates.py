@@ -1,0 +1,119 @@
+"""Compare candidates where the fit of the whole model with each of them ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..search_options import SearchOptions
+from .force_record import ForceModel
+from .held_out_gain import Blocks, block_sums, bounded, error_of_mean
+from .rated_candidate import Rated, confirmed, missing_after
+from .training_records import Training
+
+Array = NDArray[np.float64]
+
+
+def fitted_rivals(
+    beside: ForceModel,
+    first: Rated,
+    ranking: Sequence[Rated],
+    training: Training,
+    options: SearchOptions,
+) -> list[tuple[Rated, ForceModel]]:
+    """Return the confirmed candidates with the fitted model of each, the one to take first.
+
+    `beside` is the model without them. Gains are foretold by a line, and a large effect moves the
+    model's other numbers: so candidates are compared where the fit with each of them ends. What is
+    not surely worse than the best is not told apart from it. Of these the one with the fewest
+    numbers comes first, and has the others as its alternatives, but for richer laws at its place: a
+    richer law contains most simpler ones. Then come the others, best first.
+    """
+    rivals = [r for r in ranking if r.instead_of is first.instead_of and confirmed(r, options)]
+    fitted = list[_Fitted]()
+    for rated in rivals:  # best first: most others soon prove to stay behind
+        least = min((f.cost for f in fitted), default=0.0)
+        fitted.append(_Fitted.of(beside, rated, training, least))
+    fitted.sort(key=lambda f: float(f.errors.sum()))
+    alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
+    alike.sort(key=lambda f: f.rated.numbers)
+    support = _support(fitted, ranking, options)
+    named = [replace(f.rated, support=support(f.rated)) for f in alike]
+    contenders = tuple(r.placed.effect for r in ranking)
+    others = tuple(r for r in named[1:] if not _richer(r, named[0]))
+    best = replace(named[0], alternatives=others, contenders=contenders)
+    rest = [f for f in fitted if f is not alike[0]]
+    told = [replace(f.rated, support=support(f.rated), contenders=contenders) for f in rest]
+    return [(best, alike[0].point), *zip(told, (f.point for f in rest), strict=True)]
+
+
+def _richer(one: Rated, other: Rated) -> bool:
+    """Return whether one has more numbers at the same place."""
+    same = one.placed.effect.where == other.placed.effect.where
+    return same and one.numbers > other.numbers
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A candidate where the fit of the whole model with it ends.
+
+    errors (B,): squared error of each block by the fit of all others, with the candidate's shape
+    held. left: what remains of the weighed missing force of each record (rows, n).
+    """
+
+    rated: Rated
+    point: ForceModel
+    cost: float
+    errors: Array
+    left: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, beside: ForceModel, rated: Rated, training: Training, least: float) -> _Fitted:
+        """Fit the model with a candidate; not to the end if it stays far above the least cost."""
+        point = training.fit(replace(beside, placed=(*beside.placed, rated.placed)), least)
+        at = training.at(point)
+        columns = training.columns(at)
+        judged = training.judged(at, columns, training.group_columns(at))
+        last = replace(rated, placed=point.placed[-1])
+        # A shape that the records hardly determine would move far by a fit without a block.
+        kept = len(columns[0]) - len(last.placed.shape)
+        held = judged.only(range(kept))
+        left = missing_after(held.coefficients(), [c[:kept] for c in columns], at.missing)
+        return cls(last, point, training.cost(point), held.left_out_errors(), tuple(left))
+
+
+def _worse(one: _Fitted, best: _Fitted, blocks: Blocks, options: SearchOptions) -> bool:
+    """Return whether a fitted candidate is worse: surely, by the scatter of the difference, and by
+    more than the equation of the best may be wrong by."""
+    size = block_sums(blocks, [a - b for a, b in zip(one.left, best.left, strict=True)])
+    difference = bounded(one.errors - best.errors, size)
+    least = options.inexact * float(best.rated.gain.raw.mean())
+    surely = options.standard_errors * error_of_mean(difference, size)
+    return bool(difference.mean() > max(surely, least))
+
+
+def _support(
+    fitted: Sequence[_Fitted], ranking: Sequence[Rated], options: SearchOptions
+) -> Callable[[Rated], float]:
+    """Return the function that gives the share of resamples of the blocks in which the class and
+    place of a candidate gain most of all."""
+    gains = np.array([r.gain.raw for r in ranking])
+    errors = np.array([f.errors for f in fitted])
+    rng = np.random.default_rng(0)
+    picks = rng.integers(errors.shape[1], size=(options.resamples, errors.shape[1]))
+    wins = np.argmin(errors[:, picks].mean(axis=2), axis=0)
+    none = np.all(gains[:, picks].mean(axis=2) <= 0.0, axis=0)
+
+    def kind(rated: Rated) -> tuple[str, tuple[str, ...]]:
+        return rated.placed.effect.effect_class, rated.placed.effect.where
+
+    kinds = [kind(f.rated) for f in fitted]
+
+    def share(rated: Rated) -> float:
+        same = [i for i, other in enumerate(kinds) if other == kind(rated)]
+        return float(np.mean(np.isin(wins, same) & ~none))
+
+    return share

@@ -1,0 +1,162 @@
+"""Rate candidates beside a model: fitted numbers, gain in blocks that did not fit them, force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....model.effects.base import Effect, Placed
+from ..search_options import SearchOptions
+from .candidate_fit import Beside, fitted_candidate, taken_at
+from .force_record import ForceModel
+from .held_out_gain import Gain, block_sums, gain_of
+from .training_records import Training, acting_force, numbers_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rated:
+    """A candidate with fitted numbers, and its gain over the model at that time.
+
+    force: by how much it lowers the RMS missing force over the acting force, at the DOF where that
+    is most. instead_of: the effect whose place it takes. contenders: all that were fitted in the
+    same round. `alternatives` are not told apart from it. support: share of bootstrap samples of
+    the blocks in which one of its class and place gains most of all.
+    """
+
+    placed: Placed
+    gain: Gain
+    force: float
+    instead_of: Placed | None = None
+    support: float = float("nan")
+    alternatives: tuple[Rated, ...] = ()
+    contenders: tuple[Effect, ...] = ()
+
+    @property
+    def share(self) -> float:
+        """Part of the squared missing force that it takes, at the DOF where that is most."""
+        return self.gain.share
+
+    @property
+    def free(self) -> bool:
+        """Whether it is a free form, not a known law."""
+        return is_free(self.placed)
+
+    @property
+    def numbers(self) -> int:
+        """Amplitudes and shape parameters."""
+        return numbers_of(self.placed)
+
+
+def confirmed(rated: Rated, options: SearchOptions) -> bool:
+    """Return whether an effect is no chance, matters, and is not contradicted elsewhere.
+
+    A free form names no law that would hold elsewhere, so other records must confirm it.
+    """
+    gain = rated.gain
+    surely = gain.statistic > options.standard_errors
+    least = options.least_free_gain if rated.free else options.least_gain
+    matters = rated.share > least and rated.force > options.least_force
+    asked = not rated.free or bool(np.all(np.isfinite(gain.others)))
+    return surely and matters and asked and gain.elsewhere
+
+
+def rate(
+    point: ForceModel,
+    candidates: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+    instead_of: Placed | None = None,
+) -> list[Rated]:
+    """Return the candidates that gain most, with fitted numbers, best first.
+
+    instead_of: the effect of the point whose place they take; their gain is that over the point.
+    """
+    if not candidates:
+        return []
+    whole = Beside.of(point, training)
+    rest = whole
+    if instead_of is not None:
+        others = tuple(p for p in point.placed if p is not instead_of)
+        rest = Beside.of(replace(point, placed=others), training)
+    screened = []
+    for effect in candidates:
+        taken = [(taken_at(rest, effect, s, options.told_from_model), s) for s in effect.grid]
+        best = max(((t, s) for t, s in taken if t is not None), default=None)
+        if best is not None:
+            screened.append((best[0], effect, best[1]))
+    screened.sort(key=lambda s: -s[0])
+    found = []
+    for _, effect, shape in screened[: options.fitted]:
+        placed = fitted_candidate(rest, effect, shape, options.told_from_model)
+        if placed is not None:
+            found.append(rated_beside(whole, rest, placed, instead_of))
+    return sorted(found, key=by_gain)
+
+
+def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:
+    """Return the gain of an effect beside `rest` over the model of `whole`."""
+    training, more = rest.training, numbers_of(placed)
+    columns = _beside(rest, placed)
+    before = training.judged(whole.at, whole.own, whole.groups)
+    after = training.judged(rest.at, columns, training.group_columns(rest.at, placed), more)
+    base, amplitudes = len(rest.own[0]), len(placed.amplitudes)
+    found = before.coefficients(), after.coefficients()
+    left = [
+        missing_after(found[0], whole.own, whole.at.missing),
+        missing_after(found[1], columns, rest.at.missing),
+    ]
+    change = [one - other for one, other in zip(*left, strict=True)]
+    size = block_sums(training.blocks, change)
+    gain = gain_of(before, after, size, base, amplitudes, training.blocks.record)
+    force = _force_share(whole, rest, placed, found)
+    return Rated(placed, gain, force, instead_of)
+
+
+def _force_share(
+    whole: Beside, rest: Beside, placed: Placed, coefficients: tuple[Array, Array]
+) -> float:
+    """Return by how much an effect lowers the RMS missing force, over the acting force.
+
+    It is without weights, and the largest of all DOF. `coefficients` are those of both models,
+    fitted with weights.
+    """
+    plain = whole.training.plain()
+    one, other = plain.at(whole.at.point), plain.at(rest.at.point)
+    more = plain.effect_columns(other, placed)
+    columns = [np.concatenate(pair) for pair in zip(plain.columns(other), more, strict=True)]
+    before = missing_after(coefficients[0], plain.columns(one), one.missing)
+    after = missing_after(coefficients[1], columns, other.missing)
+    sizes = [
+        np.sqrt(np.sum([np.sum(x * x, axis=0) for x in values], axis=0))
+        for values in (before, after)
+    ]
+    forces = np.maximum(acting_force(one), np.finfo(float).tiny)
+    return float(np.max((sizes[0] - sizes[1]) / forces))
+
+
+def _beside(rest: Beside, placed: Placed) -> list[Array]:
+    """Return the columns of a model and one more effect, each record (C, rows, n)."""
+    more = rest.training.effect_columns(rest.at, placed)
+    return [np.concatenate(pair) for pair in zip(rest.own, more, strict=True)]
+
+
+def missing_after(
+    coefficients: Array, columns: Sequence[Array], missing: Sequence[Array]
+) -> list[Array]:
+    """Return what columns leave of the missing force of each record."""
+    return [m - np.tensordot(coefficients, c, 1) for c, m in zip(columns, missing, strict=True)]
+
+
+def by_gain(rated: Rated) -> float:
+    """Sort key: what gains most comes first."""
+    return -float(rated.gain.raw.mean())
+
+
+def is_free(placed: Placed) -> bool:
+    """Return whether an effect is a free form."""
+    return placed.effect.effect_class == "unknown"

@@ -47,7 +47,8 @@ def imported_report(trace: ForceTrace, out_dir: Path) -> Path:
         Section("Records", (_records(trace),)),
         Section("What next", (Steps(tuple(_steps(result, out_dir))),)),
     ]
-    title = ", ".join(law.name for law in result.laws) or "no effect confirmed"
+    names = (f"perhaps {law.name}" if law.doubtful else law.name for law in result.laws)
+    title = ", ".join(names) or "no effect confirmed"
     return write_report(out_dir, f"Trace of {trace.config.name}: {title}", sections)
 
 
@@ -63,9 +64,9 @@ def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
             text += " These records do not tell its members apart."
         if law.doubtful:
             text += (
-                f" It is in doubt: it leaves {100 * law.left_share:.2g} % of the squared missing "
-                "force that a free form of all signals explains. If what is there is not in the "
-                "table, the best of the table takes something too."
+                f" It is in doubt: {100 * law.left_share:.2g} % of the squared missing force that a "
+                "free form of all signals explains is left. If what is there is not in the table, "
+                "the best of the table takes something too."
             )
         if law.laws:
             names = ", ".join(r.placed.effect.title for r in law.laws)
@@ -98,16 +99,20 @@ def _numbers(result: ForceOutcome) -> tuple[Number, ...]:
     return tuple(numbers)
 
 
+def _percent(value: float) -> str:
+    return f"{value:.3g} %" if np.isfinite(value) else "—"
+
+
 def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Part, ...]:
     rows = []
     for i, name in enumerate(result.dof):
         cells = [symbol(name)]
         for error in (result.before, result.after):
             cells.append(f"{error.force_percent[i]:.3g} %")
-        cells.append(f"{result.free_form[i]:.3g} %")
+        cells.append(_percent(result.free_form[i]))
         for error in (result.before, result.after):
             value = error.percent[i]
-            cells.append(f"{value:.3g} %" if np.isfinite(value) else "—")
+            cells.append(_percent(value))
         rows.append(tuple(cells))
     head = (
         "DOF", "force, before", "force, after", "free form", "free run, before", "free run, after",
@@ -152,7 +157,7 @@ def _law_parts(trace: ForceTrace, law: FoundLaw, number: int) -> tuple[Part, ...
         ]
         parts.append(
             Table(
-                "Parameters with 95 % intervals: scatter of blocks of time, and choice of the band",
+                "Parameters, 95 % intervals by scatter of blocks of time, choice of the band and noise",
                 ("parameter", "value", "half the interval"),
                 tuple(rows),
             )

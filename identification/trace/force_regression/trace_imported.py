@@ -219,9 +219,7 @@ def _weighed(
     flat = np.maximum(np.var(acting, axis=1).max(axis=0), np.finfo(float).tiny) * np.ones((2, 1))
     plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
     blocks = Blocks.of([r.rows for r in fitted], options.blocks)
-    training = Training(
-        fitted, plain, blocks, np.zeros((3, n)), np.full(n, np.nan), np.zeros(n, bool)
-    )
+    training = Training.unscaled(fitted, plain, blocks)
     training = training.with_scale(training.at(start), options.told_from_model)
     point = training.first_fit(start)
     beside = Beside.of(point, training)
@@ -260,9 +258,7 @@ def _training_below(
     centred = _centred(r.missing_force(point) for r in records)
     white = whitening_of(centred, [r.band.row_s for r in records], limit_hz)
     blocks = Blocks.of([r.rows for r in records], options.blocks)
-    training = Training(
-        records, white, blocks, np.zeros((3, n)), np.full(n, np.nan), np.zeros(n, bool)
-    )
+    training = Training.unscaled(records, white, blocks)
     return training.with_scale(training.at(replace(point, placed=())), options.told_from_model)
 
 

@@ -27,9 +27,10 @@ _NEAR, _BISECTIONS = 0.2, 20
 class Law:
     """An effect: right classes, whether it is at an input, and names of its numbers in a fit.
 
-    right: classes that a right report has; empty for an effect that is not in the table, and of
-    which no class is a fair name. names: parameters of the effect `identity`, for intervals, by
-    index of the number.
+    right: classes that a right report has; empty without an effect, and for one of which no class
+    of the table is a fair name. effect, names: key of the effect in the table that has the plant's
+    equation, and its parameters in the order of the numbers, for intervals. listed: whether the
+    table has it.
     """
 
     kind: Kind
@@ -107,11 +108,10 @@ CASES = {
 
 @dataclass(frozen=True)
 class Case:
-    """A plant with an effect, and its records.
+    """A plant with an effect, and how it moved.
 
-    where: places of a right report. size: what a linear model leaves of the effect's force, over
-    the force of the inputs. truth: parameters of the model with this effect, in the ratio of the
-    declared input gain; of the effect only if `structure` names it.
+    where: places of a right report. numbers: of the effect, as Kind has them. size: what the
+    parameters leave of the effect's force, over the force of the inputs.
     """
 
     plant: Plant

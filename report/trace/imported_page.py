@@ -64,8 +64,8 @@ def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
             text += " These records do not tell its members apart."
         if law.doubtful:
             text += (
-                f" It is in doubt: {100 * law.left_share:.2g} % of the squared missing force that a "
-                "free form of all signals explains is left. If what is there is not in the table, "
+                f" It is in doubt: {100 * law.left_share:.2g} % of the squared missing force that "
+                "a free form of all signals explains is left. If what is there is not in the table, "
                 "the best of the table takes something too."
             )
         if law.laws:
@@ -157,7 +157,7 @@ def _law_parts(trace: ForceTrace, law: FoundLaw, number: int) -> tuple[Part, ...
         ]
         parts.append(
             Table(
-                "Parameters, 95 % intervals by scatter of blocks of time, choice of the band and noise",
+                "Parameters, 95 % intervals by scatter of blocks, choice of the band, and noise",
                 ("parameter", "value", "half the interval"),
                 tuple(rows),
             )

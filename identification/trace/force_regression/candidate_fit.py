@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -22,6 +23,15 @@ _INSIDE = 1e-6
 _SHARE, _SHARE_LOG = 0.25, 1.0
 """First steps of a fit: of the distance of the bounds, and of a logarithm."""
 _FELL = 1e-4
+
+
+@dataclass(frozen=True)
+class Plain:
+    """A model at its present numbers and its columns, each record (F, rows, n), without weights."""
+
+    at: Evaluated
+    training: Training
+    own: list[Array]
 
 
 @dataclass(frozen=True)
@@ -44,13 +54,21 @@ class Beside:
     def of(cls, point: ForceModel, training: Training) -> Beside:
         """Return the columns of a model at its present numbers."""
         at = training.at(point)
-        own = training.columns(at)
+        groups = training.group_columns(at)
+        own = training.columns(at, groups)
         base = flat(own)
         size = np.linalg.norm(base, axis=0)
         Q, R = np.linalg.qr(base[:, size > 0.0] / size[size > 0.0])
         Q = Q[:, np.abs(np.diag(R)) > 1e-10]
         whole = np.concatenate([m.reshape(-1) for m in at.missing])
-        return cls(at, training, own, training.group_columns(at), Q, whole - Q @ (Q.T @ whole))
+        return cls(at, training, own, groups, Q, whole - Q @ (Q.T @ whole))
+
+    @cached_property
+    def plain(self) -> Plain:
+        """The same without weights."""
+        training = self.training.plain()
+        at = training.at(self.at.point)
+        return Plain(at, training, training.columns(at, training.group_columns(at)))
 
     @property
     def squares(self) -> float:

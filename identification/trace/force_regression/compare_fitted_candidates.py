@@ -75,8 +75,9 @@ class _Fitted:
         """Fit the model with a candidate; not to the end if it stays far above the least cost."""
         point = training.fit(replace(beside, placed=(*beside.placed, rated.placed)), least)
         at = training.at(point)
-        columns = training.columns(at)
-        judged = training.judged(at, columns, training.group_columns(at))
+        groups = training.group_columns(at)
+        columns = training.columns(at, groups)
+        judged = training.judged(at, columns, groups)
         last = replace(rated, placed=point.placed[-1])
         # A shape that the records hardly determine would move far by a fit without a block.
         kept = len(columns[0]) - len(last.placed.shape)

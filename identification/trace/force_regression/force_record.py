@@ -8,12 +8,14 @@ from an unknown loop, and its plant may be unstable.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Effect, Placed, Signals, Term
+from ....model.second_order import SecondOrder
 from ...greybox.force_balance.band_limited_signals import BandLimited
 from ...greybox.free_parameters import FreeParameters
 from ...greybox.intersample_input import Hold
@@ -25,6 +27,11 @@ _OVERSAMPLED = 4.0
 """Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
 _INERTIA = "inertia"
 """Class of the effects whose force is in proportion to accelerations."""
+_RECENT = 40
+"""Signals that are kept for the next call: of a model with some effects, each at its shape, at the
+shapes of its differences, and with other delays."""
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 _Part = tuple[Array | None, Array | None, tuple[Array, Array, Array] | None]
 """Filtered force, commands, and reading error with two derivatives of one term."""
 
@@ -62,8 +69,10 @@ class ForceRecord:
     signals: Signals
     kept: tuple[Array, ...]
     decoupling: Array
+    _matrices: list[tuple[DeclaredModel, SecondOrder]] = field(default_factory=list, repr=False)
     _inputs: dict[tuple[float, float], Array] = field(default_factory=dict, repr=False)
     _parts: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
+    _recent: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, record: TraceRecord, hold: Hold, cutoff_hz: float, law_hz: float) -> ForceRecord:
@@ -88,7 +97,7 @@ class ForceRecord:
         """
         old = self.band.kept
         band = replace(self.band, kept=slice(row + old.start, old.stop, old.step))
-        return replace(self, band=band, kept=band.kept_derivatives(), _inputs={}, _parts={})
+        return replace(self, band=band, kept=band.kept_derivatives(), **_empty())
 
     @property
     def rows(self) -> int:
@@ -102,12 +111,12 @@ class ForceRecord:
 
     def input_force(self, model: DeclaredModel) -> Array:
         """Return the force of the input (rows, n)."""
-        at = model.at(self.band.schedule)
-        delay_s, lag_s = _timing(model, self.band)
-        if (delay_s, lag_s) not in self._inputs:
-            self._inputs.clear()
-            self._inputs[delay_s, lag_s] = self.band.input(delay_s, lag_s)
-        return np.asarray(self._inputs[delay_s, lag_s] @ at.B.T)
+        timing = self._timing(model)
+        force = self._inputs.get(timing)
+        if force is None:
+            force = self.band.input(*timing)
+            _remember(self._inputs, timing, force)
+        return np.asarray(force @ self._at(model).B.T)
 
     def missing_force(self, point: ForceModel) -> Array:
         """Return the force that the model with its effects lacks (rows, n)."""
@@ -126,7 +135,7 @@ class ForceRecord:
 
         Each includes the effects of its kind. The first less the others is what the model lacks.
         """
-        at = point.model.at(self.band.schedule)
+        at = self._at(point.model)
         q, qd, qdd, _ = self.kept
         groups = np.stack([self.input_force(point.model), qdd @ at.M.T, qd @ at.D.T + q @ at.K.T])
         for p in point.placed:
@@ -152,7 +161,7 @@ class ForceRecord:
 
         keep: whether the filtered signals are kept for the next call.
         """
-        at = model.at(self.band.schedule)
+        at = self._at(model)
         kind = 1 if effect.effect_class == _INERTIA else 2
         parts = self._parts_of(model, effect, shape, keep)
         changes = np.zeros((len(parts), 3, *self.kept[0].shape))
@@ -168,15 +177,26 @@ class ForceRecord:
 
     def force_of_command(self, model: DeclaredModel, held: Array) -> Array:
         """Return the force (rows, n) of additions to the inputs (N, p)."""
-        at = model.at(self.band.schedule)
-        return np.asarray(self.band.input(*_timing(model, self.band), held) @ at.B.T)
+        at = self._at(model)
+        return np.asarray(self.band.input(*self._timing(model), held) @ at.B.T)
+
+    def _at(self, model: DeclaredModel) -> SecondOrder:
+        """Return the matrices of a model in this record."""
+        if not self._matrices or self._matrices[0][0] is not model:
+            self._matrices[:] = [(model, model.at(self.band.schedule))]
+        return self._matrices[0][1]
+
+    def _timing(self, model: DeclaredModel) -> tuple[float, float]:
+        """Return delay and lag of the input in s; with the log's own, the delay is not negative."""
+        at = self._at(model)
+        return max(at.delay_s, -self.band.own_delay_s), max(at.lag_s, 0.0)
 
     def _parts_of(
         self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool
     ) -> list[_Part]:
-        delay_s, lag_s = _timing(model, self.band)
+        delay_s, lag_s = self._timing(model)
         key = (effect.identity, shape, delay_s, lag_s)
-        parts = self._parts.get(key)
+        parts = self._parts.get(key) or self._recent.get(key)
         if parts is None:
             late = max(round((delay_s + self.band.own_delay_s) / self.band.Ts_s), 0)
             signals = replace(self.signals, delay_cycles=late, lag_s=lag_s)
@@ -186,6 +206,8 @@ class ForceRecord:
                 if self._parts and next(iter(self._parts))[2:] != key[2:]:
                     self._parts.clear()
                 self._parts[key] = parts
+            else:
+                _remember(self._recent, key, parts)
         return parts
 
     def _part(self, term: Term, delay_s: float, lag_s: float) -> _Part:
@@ -197,7 +219,13 @@ class ForceRecord:
         )
 
 
-def _timing(model: DeclaredModel, band: BandLimited) -> tuple[float, float]:
-    """Return delay and lag of the input in s; with the log's own, the delay is not negative."""
-    at = model.at(band.schedule)
-    return max(at.delay_s, -band.own_delay_s), max(at.lag_s, 0.0)
+def _empty() -> dict[str, Any]:
+    """Return the fields that keep what was computed, empty."""
+    return {"_matrices": [], "_inputs": {}, "_parts": {}, "_recent": {}}
+
+
+def _remember(known: dict[Key, Value], key: Key, value: Value) -> None:
+    """Keep a value, and forget the oldest one beyond what one set of derivatives needs."""
+    known[key] = value
+    if len(known) > _RECENT:
+        del known[next(iter(known))]

@@ -23,10 +23,11 @@ def standard_errors(point: ForceModel, training: Training, others: Sequence[Trai
     the largest change by a fit to `others`: in another band, or with more noise in the motion.
     """
     at = training.at(point)
-    columns = training.columns(at)
+    groups = training.group_columns(at)
+    columns = training.columns(at, groups)
     size = np.linalg.norm(flat(columns), axis=0)
     size = np.where(size > 0.0, size, 1.0)
-    grams = training.judged(at, columns, training.group_columns(at))
+    grams = training.judged(at, columns, groups)
     scale = np.append(size, 1.0)
     blocks = grams.grams.sum(axis=1) / scale[:, None] / scale
     prior = grams.prior / scale[:, None] / scale

@@ -101,9 +101,14 @@ def rate(
 def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:
     """Return the gain of an effect beside `rest` over the model of `whole`."""
     training, more = rest.training, numbers_of(placed)
-    columns = _beside(rest, placed)
+    changes = training.effect_changes(rest.at, placed)
+    own = training.effect_columns(rest.at, placed, changes)
+    columns, groups = (
+        [np.concatenate(pair) for pair in zip(old, new, strict=True)]
+        for old, new in ((rest.own, own), (rest.groups, changes))
+    )
     before = training.judged(whole.at, whole.own, whole.groups)
-    after = training.judged(rest.at, columns, training.group_columns(rest.at, placed), more)
+    after = training.judged(rest.at, columns, groups, more)
     base, amplitudes = len(rest.own[0]), len(placed.amplitudes)
     found = before.coefficients(), after.coefficients()
     left = [
@@ -125,24 +130,18 @@ def _force_share(
     It is without weights, and the largest of all DOF. `coefficients` are those of both models,
     fitted with weights.
     """
-    plain = whole.training.plain()
-    one, other = plain.at(whole.at.point), plain.at(rest.at.point)
-    more = plain.effect_columns(other, placed)
-    columns = [np.concatenate(pair) for pair in zip(plain.columns(other), more, strict=True)]
-    before = missing_after(coefficients[0], plain.columns(one), one.missing)
-    after = missing_after(coefficients[1], columns, other.missing)
+    one, other = whole.plain, rest.plain
+    changes = other.training.effect_changes(other.at, placed)
+    more = other.training.effect_columns(other.at, placed, changes)
+    columns = [np.concatenate(pair) for pair in zip(other.own, more, strict=True)]
+    before = missing_after(coefficients[0], one.own, one.at.missing)
+    after = missing_after(coefficients[1], columns, other.at.missing)
     sizes = [
         np.sqrt(np.sum([np.sum(x * x, axis=0) for x in values], axis=0))
         for values in (before, after)
     ]
-    forces = np.maximum(acting_force(one), np.finfo(float).tiny)
+    forces = np.maximum(acting_force(one.at), np.finfo(float).tiny)
     return float(np.max((sizes[0] - sizes[1]) / forces))
-
-
-def _beside(rest: Beside, placed: Placed) -> list[Array]:
-    """Return the columns of a model and one more effect, each record (C, rows, n)."""
-    more = rest.training.effect_columns(rest.at, placed)
-    return [np.concatenate(pair) for pair in zip(rest.own, more, strict=True)]
 
 
 def missing_after(

@@ -8,7 +8,8 @@ models are comparable.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,28 +30,34 @@ class Whitening:
     freq_hz: Array
     density: Array
     cutoff_hz: float
+    _weights: dict[tuple[int, float], Array] = field(default_factory=dict, repr=False)
 
     def apply(self, values: Array, row_s: float) -> Array:
         """Return signals (..., rows, n) with the spectrum divided by the residual's, no phase.
 
         The residual's sum of squares is then about the number of independent rows in the band.
         """
+        if np.all(self.density == self.density[0]):
+            return np.asarray(values * np.sqrt(2.0 * row_s / self.density[0]))
         rows = values.shape[-2]
-        before = rows - 1
+        memory_s = 1.0 / float(self.freq_hz[1] - self.freq_hz[0])  # of weights of this resolution
+        before = min(rows - 1, ceil(memory_s / row_s))
         length = next_fast_len(rows + 2 * before, real=True)
         head = 2.0 * values[..., :1, :] - values[..., before:0:-1, :]
-        tail = 2.0 * values[..., -1:, :] - values[..., -2::-1, :]
+        tail = 2.0 * values[..., -1:, :] - values[..., -2 : -2 - before : -1, :]
         whole = np.concatenate([head, values, tail], axis=-2)
-        freq_hz = np.minimum(rfftfreq(length, row_s), self.cutoff_hz)
-        weight = np.stack(
-            [
-                np.exp(-0.5 * np.interp(freq_hz, self.freq_hz, np.log(column)))
-                for column in self.density.T
-            ],
-            axis=1,
-        ) * np.sqrt(2.0 * row_s)
+        weight = self._weight(length, row_s)
         found = irfft(rfft(whole, length, axis=-2) * weight, length, axis=-2)
         return np.asarray(found[..., before : before + rows, :])
+
+    def _weight(self, length: int, row_s: float) -> Array:
+        """Return the weights (F, n) of a spectrum of `length` rows."""
+        if (length, row_s) not in self._weights:
+            freq_hz = np.minimum(rfftfreq(length, row_s), self.cutoff_hz)
+            logs = [np.interp(freq_hz, self.freq_hz, np.log(d)) for d in self.density.T]
+            weight = np.exp(-0.5 * np.stack(logs, axis=1)) * np.sqrt(2.0 * row_s)
+            self._weights[length, row_s] = weight
+        return self._weights[length, row_s]
 
 
 def whitening_of(residuals: Sequence[Array], row_s: Sequence[float], cutoff_hz: float) -> Whitening:

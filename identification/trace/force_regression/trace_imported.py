@@ -170,7 +170,7 @@ def _traced(
         for point in (declared, found.point)
     )
     whole = Beside.of(found.point, training)
-    left = residual_of_richest(found.point, fitted, _plain_columns(whole), unlisted=True)
+    left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
     acting = [r.acting_force(found.point) for r in fitted]
     form = np.where(training.all_free, np.nan, _rms(left))
     force = _rms(acting)
@@ -223,7 +223,7 @@ def _weighed(
     training = training.with_scale(training.at(start), options.told_from_model)
     point = training.first_fit(start)
     beside = Beside.of(point, training)
-    left = residual_of_richest(point, fitted, _plain_columns(beside))
+    left = residual_of_richest(point, fitted, beside.plain.own)
     missing = _centred(r.missing_force(point) for r in fitted)
     # If all terms of an equation are free, a free form explains all of it and tells nothing.
     left = [
@@ -237,12 +237,6 @@ def _weighed(
     if np.any(missing_share(better_at) > options.much_left * missing_share(flat_at)):
         return training, point  # the weights follow noise in the motion, not what is missing
     return weighed, better
-
-
-def _plain_columns(beside: Beside) -> list[Array]:
-    """Return the columns of a model without weights, each record (C, rows, n)."""
-    plain = beside.training.plain()
-    return plain.columns(plain.at(beside.at.point))
 
 
 def _training_below(

@@ -131,15 +131,7 @@ class Training:
         )
         return forces, along / np.maximum(at.power, _TINY)
 
-    def effect_columns(self, at: Evaluated, placed: Placed) -> list[Array]:
-        """Return the columns of an effect's amplitudes and shape, each record (c, rows, n)."""
-        forces, pull = self._forces_of(at, self._changes(at, placed))
-        count = len(placed.amplitudes)
-        shrinks = self.counts(at, np.array(placed.amplitudes), pull[:count])
-        pull = np.where(shrinks, pull, 0.0)
-        return [f + pull[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)]
-
-    def _changes(self, at: Evaluated, placed: Placed) -> list[Array]:
+    def effect_changes(self, at: Evaluated, placed: Placed) -> list[Array]:
         """Return the changes of the groups by an effect's amplitudes and shape (c, 3, rows, n)."""
         model, a, found = at.point.model, np.array(placed.amplitudes), []
         for r in self.records:
@@ -151,24 +143,39 @@ class Training:
             found.append(self._weighed(r, np.concatenate(own)))
         return found
 
-    def columns(self, at: Evaluated) -> list[Array]:
-        """Return the columns of all free numbers, each record (F + effects', rows, n).
+    def effect_columns(
+        self, at: Evaluated, placed: Placed, changes: Sequence[Array]
+    ) -> list[Array]:
+        """Return the columns of an effect's amplitudes and shape, each record (c, rows, n).
 
-        Parameters count in their scale.
+        changes: those of `effect_changes`.
         """
-        own, pull = self._forces_of(at, self._parameter_changes(at))
-        pull = np.where(np.isfinite(self.reference), pull, 0.0)
-        own = [f + pull[:, None, :] * m for f, m in zip(own, at.missing, strict=True)]
-        parts = [self.effect_columns(at, p) for p in at.point.placed]
-        return [np.concatenate([c, *(p[k] for p in parts)]) for k, c in enumerate(own)]
+        forces, pull = self._forces_of(at, changes)
+        count = len(placed.amplitudes)
+        shrinks = self.counts(at, np.array(placed.amplitudes), pull[:count])
+        pull = np.where(shrinks, pull, 0.0)
+        return [f + pull[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)]
 
-    def group_columns(self, at: Evaluated, more: Placed | None = None) -> list[Array]:
-        """Return the changes of the groups by all free numbers, as `columns` (C, 3, rows, n)."""
-        parts = [self._changes(at, p) for p in at.point.placed]
-        if more is not None:
-            parts.append(self._changes(at, more))
+    def group_columns(self, at: Evaluated) -> list[Array]:
+        """Return the changes of the groups by all free numbers, in order (C, 3, rows, n)."""
+        parts = [self.effect_changes(at, p) for p in at.point.placed]
         own = self._parameter_changes(at)
         return [np.concatenate([c, *(p[k] for p in parts)]) for k, c in enumerate(own)]
+
+    def columns(self, at: Evaluated, groups: Sequence[Array]) -> list[Array]:
+        """Return the columns of all free numbers, each record (F + effects', rows, n).
+
+        Parameters count in their scale. groups: those of `group_columns`.
+        """
+        begin = len(at.point.values)
+        own, pull = self._forces_of(at, [g[:begin] for g in groups])
+        pull = np.where(np.isfinite(self.reference), pull, 0.0)
+        parts = [[f + pull[:, None, :] * m for f, m in zip(own, at.missing, strict=True)]]
+        for p in at.point.placed:
+            mine = slice(begin, begin + numbers_of(p))
+            parts.append(self.effect_columns(at, p, [g[mine] for g in groups]))
+            begin = mine.stop
+        return [np.concatenate(of_record) for of_record in zip(*parts, strict=True)]
 
     def plain(self) -> Training:
         """Return the same records without weights."""
@@ -177,20 +184,19 @@ class Training:
         return replace(self, whitening=flat, reference=np.full(n, np.nan))
 
     def _parameter_changes(self, at: Evaluated) -> list[Array]:
-        point = at.point
-        free, values = point.parameters, point.values
-        found: list[list[Array]] = [[] for _ in self.records]
-        for i, scale in enumerate(free.scale.tolist()):
-            step = np.zeros(len(values))
-            step[i] = _HALF_STEP * scale
-            low, high = (point.with_values(values + s * step) for s in (-1.0, 1.0))
-            for mine, r in zip(found, self.records, strict=True):
-                change = (r.groups(high) - r.groups(low)) / (2 * _HALF_STEP)
-                mine.append(self._weighed(r, change))
-        return [
-            np.array(mine) if mine else np.zeros((0, 3, *r.kept[0].shape))
-            for mine, r in zip(found, self.records, strict=True)
+        """Return the changes of the groups by each free parameter in its scale (F, 3, rows, n)."""
+        point, steps = at.point, _HALF_STEP * np.diag(at.point.parameters.scale)
+        pairs = [
+            (point.with_values(point.values - step), point.with_values(point.values + step))
+            for step in steps
         ]
+        found = []
+        for r in self.records:
+            changes = np.zeros((len(pairs), 3, *r.kept[0].shape))
+            for i, (low, high) in enumerate(pairs):
+                changes[i] = (r.groups(high) - r.groups(low)) / (2 * _HALF_STEP)
+            found.append(self._weighed(r, changes))
+        return found
 
     def prior(self, point: ForceModel) -> Array:
         """Return the Gram matrix of the parameters' priors, for [columns, missing]."""
@@ -259,8 +265,8 @@ class Training:
 
         A force sets the scale if more than `told_from_model` of its square is beside the columns.
         """
-        columns, n = self.columns(at), len(at.power)
-        scale = np.zeros((3, n))
+        changes, n = self.group_columns(at), len(at.power)
+        columns, scale = self.columns(at, changes), np.zeros((3, n))
         for i in range(n):
             J = np.concatenate([c[:, :, i] for c in columns], axis=1).T
             for kind in range(3):
@@ -276,18 +282,8 @@ class Training:
             self,
             scale=scale,
             reference=np.where(free, reference, np.nan),
-            all_free=self._all_free(at, told_from_model),
+            all_free=_all_free(at, changes, told_from_model),
         )
-
-    def _all_free(self, at: Evaluated, told_from_model: float) -> NDArray[np.bool_]:
-        """Return where a change of the parameters changes all forces in proportion (n,)."""
-        changes, found = self.group_columns(at), []
-        for i in range(len(at.power)):
-            J = np.hstack([c[..., i].reshape(len(c), -1) for c in changes]).T
-            force = np.concatenate([g[..., i].reshape(-1) for g in at.groups])
-            left = _beside(J, force)
-            found.append(left @ left <= told_from_model * float(force @ force))
-        return np.array(found)
 
     def counts(self, at: Evaluated, amplitudes: Array, pull: Array) -> NDArray[np.bool_]:
         """Return whether an effect's change of the power counts for each DOF (n,)."""
@@ -311,7 +307,8 @@ class Training:
         way: from the fit's begin to the point.
         """
         at = self.at(point)
-        A = np.hstack([c.reshape(len(c), -1) for c in self.columns(at)]).T
+        columns = self.columns(at, self.group_columns(at))
+        A = np.hstack([c.reshape(len(c), -1) for c in columns]).T
         b = np.concatenate([m.reshape(-1) for m in at.missing])
         rows = point.parameters.prior_rows(point.values)
         if len(rows):
@@ -329,6 +326,20 @@ class Training:
     def _weighed(self, record: ForceRecord, values: Array) -> Array:
         white = self.whitening.apply(values, record.band.row_s)
         return np.asarray(white - white.mean(axis=-2, keepdims=True))
+
+
+def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[np.bool_]:
+    """Return where a change of the parameters changes all forces in proportion (n,).
+
+    changes: of the groups by each parameter. told: share of a square that is told from rounding.
+    """
+    found = []
+    for i in range(len(at.power)):
+        J = np.hstack([c[..., i].reshape(len(c), -1) for c in changes]).T
+        force = np.concatenate([g[..., i].reshape(-1) for g in at.groups])
+        left = _beside(J, force)
+        found.append(left @ left <= told * float(force @ force))
+    return np.array(found)
 
 
 def _beside(J: Array, force: Array) -> Array:

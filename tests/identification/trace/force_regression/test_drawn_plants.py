@@ -15,7 +15,6 @@ from levid.benchmarks.trace.imported_plants import scored
     [
         ("pendulum", "loose_mass", 700_000),  # a resonance at 0.67 Hz
         ("stage", "saturation", 700_000),  # of the torque, which is a sixtieth of the force
-        ("geared", "force_with_speed", 700_000),  # fewer inputs than DOF
         ("drive", "quantised", 700_000),  # 33 levels
         ("pendulum", "drift", 700_000),  # a law of heat with a long time constant is alike
     ],
@@ -28,9 +27,8 @@ def test_the_effect_of_a_plant_is_named(plant: str, law: str, seed: int) -> None
     assert found.force[1] < 0.4 * found.force[0]
 
 
-@pytest.mark.parametrize("plant", ["pendulum", "levitation"])
-def test_a_short_delay_is_not_told_from_a_lag(plant: str) -> None:
-    found = scored(plant, "delay", 700_001)
+def test_a_short_delay_is_not_told_from_a_lag() -> None:
+    found = scored("pendulum", "delay", 700_001)
     assert found.in_group
     assert not found.false_name
 
@@ -45,10 +43,3 @@ def test_a_name_is_in_doubt_where_a_free_form_explains_more() -> None:
     # Friction that changes along the way is not in the table: Coulomb friction is its best.
     found = scored("drive", "uneven_friction", 700_000)
     assert found.doubtful
-
-
-def test_a_false_name_beside_a_right_one_is_in_doubt() -> None:
-    # The friction is right; what its change along the way leaves looks like a damping, a little.
-    found = scored("geared", "uneven_friction", 700_001)
-    assert found.right
-    assert not found.sure_and_false

@@ -54,6 +54,7 @@ def imported_report(trace: ForceTrace, out_dir: Path) -> Path:
 
 def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
     texts = [Text(f"{result.verdict[0].upper()}{result.verdict[1:]}.", "lead")]
+    told = None
     for law in result.laws:
         values = ", ".join(f"{n} = {with_interval(p)}" for n, p in law.parameters.items())
         if law.free:
@@ -67,6 +68,14 @@ def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
                 f" It is in doubt: {100 * law.left_share:.2g} % of the squared missing force "
                 "that a free form of all signals explains is left. If what is there is not in the "
                 "table, the best of the table takes something too."
+            )
+        if law.curve is not None and law.curve is not told:
+            told = law.curve
+            curve = law.curve.placed.effect.title
+            text += (
+                f" Its equation is not exact: a {curve[0].lower()}{curve[1:]} in a way that no law "
+                f"of the table has would take {100 * law.curve.share:.2g} % of the squared missing "
+                "force that is left."
             )
         if law.laws:
             names = ", ".join(r.placed.effect.title for r in law.laws)

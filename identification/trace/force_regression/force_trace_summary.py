@@ -43,7 +43,8 @@ class FoundLaw:
     gains most. `alternatives` are of other classes or places, each with its support: these records
     do not tell them apart. laws: other laws of the same class and place, not told apart either.
     left_share: share of the squared missing force without it that is left with it, of what a free
-    form explains. least_gain: share that an effect must take.
+    form explains. least_gain: share that an effect must take. curve: free form of its signal that
+    surely improves on it, None without one.
     """
 
     rated: Rated
@@ -53,6 +54,7 @@ class FoundLaw:
     laws: tuple[Rated, ...]
     left_share: float
     least_gain: float
+    curve: Rated | None
 
     @property
     def doubtful(self) -> bool:
@@ -289,7 +291,8 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         same = tuple(r for r in rated.alternatives if _kind(r) == own)
         others = tuple(r for r in rated.alternatives if _kind(r) != own)
         own_values, least = values[rated.placed.effect.identity], trace.options.least_gain
-        laws.append(FoundLaw(rated, own_values, rated.support, others, same, left, least))
+        curve = trace.curves.get(rated.placed.effect.identity)
+        laws.append(FoundLaw(rated, own_values, rated.support, others, same, left, least, curve))
     return tuple(laws)
 
 
@@ -314,6 +317,9 @@ def _effect(law: FoundLaw) -> dict[str, Any]:
         "laws_not_told_apart": [_named(r) for r in law.laws],
         "left_share": law.left_share,
         "doubtful": law.doubtful,
+        "curve": None
+        if law.curve is None
+        else {"signals": list(depends_on(law.curve.placed.effect)), "share": law.curve.share},
         "absorbed_by": effect.absorbed_by,
         "told_apart_by": effect.told_apart_by,
     }

@@ -17,6 +17,7 @@ from ..search_options import SearchOptions
 from .candidate_fit import Beside
 from .compare_fitted_candidates import fitted_rivals
 from .force_record import ForceModel
+from .free_form_of_law_signal import described_laws
 from .rated_candidate import Rated, by_gain, confirmed, is_free, rate, rated_beside
 from .training_records import Training, missing_share
 
@@ -53,7 +54,8 @@ def search(
         after = _with_best(state, nearest, training, options)
         if after is None:
             ranking = _ranking(state, free_forms, training, options)
-            after = _with_best(state, ranking, training, options)
+            other = [r for r in ranking if not described_laws(r.placed, state.point, training)]
+            after = _with_best(state, other, training, options)
             nearest = sorted([*nearest, *ranking], key=by_gain)
         if after is None:
             break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,8 +34,10 @@ from ..records.searched_effects import searched_effects
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
+from .free_form_of_law_signal import curves_beside_laws
 from .held_out_gain import Blocks
 from .intervals import standard_errors
+from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
 from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
@@ -58,7 +60,8 @@ class ForceTrace:
     errors of its numbers. before, after: errors on the reported rows. free_form (n,): what a free
     form of all signals leaves of the acting force in the fitted rows, in per cent, nan where all
     terms of an equation are free. left_share: for each effect found, the share of the squared
-    missing force without it that is left with it, of what such a form explains. noise_sd (n,): of
+    missing force without it that is left with it, of what such a form explains. curves: free
+    forms of a law's signal that surely improve on it, by the law's identity. noise_sd (n,): of
     each output; noise_stated: whether the signals files state it. fitted, reported: the records
     below the band's limit `limit_hz`.
     """
@@ -72,6 +75,7 @@ class ForceTrace:
     after: tuple[ReportedError, ...]
     free_form: Array
     left_share: tuple[float, ...]
+    curves: Mapping[str, Rated]
     noise_sd: Array
     noise_stated: bool
     limit_hz: float
@@ -160,6 +164,12 @@ def _traced(
     noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
     others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, options))
     errors = standard_errors(found.point, training, others)
+    whole = Beside.of(found.point, training)
+    left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
+    form = np.where(training.all_free, np.nan, _rms(left))
+    force = _rms([r.acting_force(found.point) for r in fitted])
+    left_share = _left_share(found, training, form / force, options)
+    curves = curves_beside_laws(found.point, free, training, options)
     progress("reporting on unseen rows", 0.95)
     noise = stated_noise([r.experiment for r in records])
     before, after = (
@@ -169,15 +179,9 @@ def _traced(
         )
         for point in (declared, found.point)
     )
-    whole = Beside.of(found.point, training)
-    left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
-    acting = [r.acting_force(found.point) for r in fitted]
-    form = np.where(training.all_free, np.nan, _rms(left))
-    force = _rms(acting)
     return ForceTrace(
-        config, places, declared, found, errors, before, after, 100.0 * form / force,
-        _left_share(found, training, form / force, options), sd, noise is not None,
-        limit_hz, fitted, reported, (*notes, *table.notes), options,
+        config, places, declared, found, errors, before, after, 100.0 * form / force, left_share,
+        curves, sd, noise is not None, limit_hz, fitted, reported, (*notes, *table.notes), options,
     )  # fmt: skip
 
 

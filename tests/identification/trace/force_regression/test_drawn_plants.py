@@ -43,3 +43,10 @@ def test_a_name_is_in_doubt_where_a_free_form_explains_more() -> None:
     # Friction that changes along the way is not in the table: Coulomb friction is its best.
     found = scored("drive", "uneven_friction", 700_000)
     assert found.doubtful
+
+
+def test_a_free_form_does_not_share_out_what_a_law_describes() -> None:
+    # The drag is |v|^1.5; a curve over speed beside the quadratic law would change its numbers.
+    found = scored("pendulum", "drag_15", 700_000)
+    assert found.right
+    assert not found.free_form

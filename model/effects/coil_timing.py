@@ -1,8 +1,8 @@
 """Additional lag and delay of single coils: a slower current loop, a delayed command.
 
-The equations use the mean of the force over each period. In this mean, the responses of a
-first-order lag and of a delay of a fraction of a period to a held command differ only after the
-first period (Franklin, Powell, Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4).
+The equations use the mean of the force over each period, and its moment: a force that acts late in
+a period gives less way. In the mean, the responses of a first-order lag and of a delay of a
+fraction of a period to a held command differ only after the first period (Franklin, Powell, Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4).
 Lateness (`lag`, `delay`) and duration of the error (`tail`, `back`) are separate parameters; for a
 plain lag or delay they are equal. A coil can be faster than the others by at most the declared lag
 and delay. Signature: a force error proportional to the rate of change of one coil's command, so it
@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
-from .lag_and_hysteresis_recursions import lagged_mean
+from .lag_and_hysteresis_recursions import lagged_mean, lagged_moment, with_moment
 from .operating_range import Extent
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"
@@ -64,8 +64,10 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 def _lag(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
     F = signals.coil[:, coil]
-    late = lagged_mean(F, shape[0], signals.Ts_s) - F
-    return [on_coil(signals, coil, late / shape[0])]
+    late = with_moment(
+        lagged_mean(F, shape[0], signals.Ts_s), lagged_moment(F, shape[0], signals.Ts_s)
+    )
+    return [on_coil(signals, coil, (late - F) / shape[0])]
 
 
 def _delay(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
@@ -73,5 +75,7 @@ def _delay(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]
     whole, share = divmod(shape[0] / signals.Ts_s, 1.0)
     # The mean of delayed held commands over a period is a weighted sum of two commands.
     before = np.arange(len(F)) - int(whole)
-    late = (1 - share) * F[np.maximum(before, 0)] + share * F[np.maximum(before - 1, 0)]
+    new, old = F[np.maximum(before, 0)], F[np.maximum(before - 1, 0)]
+    mean = (1 - share) * new + share * old
+    late = with_moment(mean, 0.5 * share * (1 - share) * (new - old))
     return [on_coil(signals, coil, (late - F) / shape[0])]

@@ -37,6 +37,28 @@ def lagged_mean(held: Array, tau_s: float, Ts_s: float) -> Array:
     return np.asarray(_lagged_held(np.ascontiguousarray(held), decay, weight))
 
 
+def lagged_moment(held: Array, tau_s: float, Ts_s: float) -> Array:
+    """Return the moment (N,) over each period of held commands after a first-order lag.
+
+    It is the mean of the command times (t / Ts - 1/2), t from the begin of the period.
+    """
+    ratio = Ts_s / tau_s
+    left = -math.expm1(-ratio)  # of a transient after a period
+    state = _lagged_held(np.ascontiguousarray(held), 1.0 - left, 1.0)  # at the begin
+    share = (left - ratio * (1.0 - left)) / ratio**2 - left / (2.0 * ratio)
+    return np.asarray(share * (state - held))
+
+
+def with_moment(mean: Array, moment: Array) -> Array:
+    """Return held commands (N,) that move a mass as commands with these means and moments do.
+
+    A command that acts late in its period gives the same speed and less way. So does a pair of
+    commands with no mean, one period before and one after.
+    """
+    wide = np.pad(moment, 1, mode="edge")
+    return np.asarray(mean + 0.5 * (wide[:-2] - wide[2:]))
+
+
 def lagged_within(held: Array, tau_s: float, Ts_s: float, share: float) -> Array:
     """Return held commands (N,) after a first-order lag, at the fraction `share` of each period."""
     decay, weight = math.exp(-Ts_s / tau_s), math.exp(-share * Ts_s / tau_s)

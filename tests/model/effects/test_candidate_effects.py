@@ -14,7 +14,7 @@ from effect_test_helpers import CLASSES, R_M, rig_places
 from levid.model.effects import beam_friction_and_cogging, flexible, vibration
 from levid.model.effects.base import Effect, Loads, Placed, Places, Signals
 from levid.model.effects.candidate_effects import all_effects
-from levid.model.effects.lag_and_hysteresis_recursions import lagged_mean
+from levid.model.effects.lag_and_hysteresis_recursions import lagged_mean, with_moment
 from levid.model.effects.operating_range import Extent
 
 TS = 1e-3
@@ -377,16 +377,19 @@ def test_short_lag_equals_a_delay_and_long_lag_is_exact():
     np.testing.assert_allclose(late[500:], expected[500:], atol=2e-3)
 
 
-def test_delay_effect_equals_the_mean_of_the_delayed_command():
+def test_delay_effect_has_the_mean_and_moment_of_the_delayed_command():
     s = moving()
     F = np.cumsum(np.random.default_rng(5).normal(size=s.rows))  # steps, held for a period each
     for back_s in (4e-4, 1e-3, 3.4e-3):
         late = F + back_s * term("delay@coil:2", (back_s,), coil_signals(F)).held[:, 2]
-        # The mean over 100 instants of each period, shifted by the delay.
+        # 100 instants of each period, shifted by the delay; their means have no error.
         fine = np.repeat(F, 100)
         back = round(back_s / TS * 100)
         shifted = np.concatenate([np.full(back, F[0]), fine])[: len(fine)]
-        np.testing.assert_allclose(late, shifted.reshape(-1, 100).mean(axis=1), atol=1e-9)
+        periods = shifted.reshape(-1, 100)
+        moment = periods @ ((np.arange(100) + 0.5) / 100 - 0.5) / 100
+        expected = with_moment(periods.mean(axis=1), moment)
+        np.testing.assert_allclose(late, expected, atol=1e-9)
 
 
 def test_negative_delay_is_bounded_by_the_declared_delay_and_lag():

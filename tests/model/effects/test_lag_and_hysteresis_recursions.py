@@ -189,3 +189,29 @@ def test_slip_element_stays_within_its_range():
         half[travel > 8e-5] == 0.0
     )  # a travel of twice the break-away distance erases the initial force
     assert half[travel < 4e-5][-1] > 0.0
+
+
+def way_of_a_mass(force: np.ndarray, step_s: float) -> np.ndarray:
+    """Return the way of a mass of 1 kg, exact for a force that is constant over each step."""
+    speed = np.concatenate([[0.0], np.cumsum(force)]) * step_s
+    return np.cumsum(0.5 * (speed[1:] + speed[:-1])) * step_s
+
+
+@pytest.mark.parametrize("tau", [0.2e-3, 1e-3, 5e-3])
+def test_a_lagged_command_moves_a_mass_as_far_as_its_mean_and_moment(tau: float):
+    held, fine = np.repeat(np.random.default_rng(2).normal(size=20), 5), 1000
+    mean = lag_and_hysteresis_recursions.lagged_mean(held, tau, TS)
+    moment = lag_and_hysteresis_recursions.lagged_moment(held, tau, TS)
+    shares = (np.arange(fine) + 0.5) / fine
+    within = lag_and_hysteresis_recursions.lagged_within
+    force = np.stack([within(held, tau, TS, share) for share in shares], axis=1)
+    exact = way_of_a_mass(force.reshape(-1), TS / fine)[fine - 1 :: fine]
+    off = [
+        np.abs(way_of_a_mass(f, TS) - exact)[:-1].max()
+        for f in (mean, lag_and_hysteresis_recursions.with_moment(mean, moment))
+    ]
+    # What is left is the pair's own way, within a period of each change.
+    assert off[1] < 0.6 * off[0]
+    steady = np.arange(100) % 5 == 3  # the command changes at 0, and 2 periods later
+    ways = way_of_a_mass(lag_and_hysteresis_recursions.with_moment(mean, moment), TS)
+    assert np.abs(ways - exact)[steady].max() < 0.1 * off[0]

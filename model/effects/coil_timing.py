@@ -2,11 +2,12 @@
 
 The equations use the mean of the force over each period, and its moment: a force that acts late in
 a period gives less way. In the mean, the responses of a first-order lag and of a delay of a
-fraction of a period to a held command differ only after the first period (Franklin, Powell, Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4).
-Lateness (`lag`, `delay`) and duration of the error (`tail`, `back`) are separate parameters; for a
-plain lag or delay they are equal. A coil can be faster than the others by at most the declared lag
-and delay. Signature: a force error proportional to the rate of change of one coil's command, so it
-grows with frequency and is zero for a constant command. A gain error does not grow with frequency.
+fraction of a period to a held command differ only after the first period (Franklin, Powell,
+Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4). Lateness (`lag`, `delay`) and duration
+of the error (`tail`, `back`) are separate parameters; for a plain lag or delay they are equal. A
+coil can be faster than the others by at most the declared lag and delay. Signature: a force error
+proportional to the rate of change of one coil's command, so it grows with frequency and is zero for
+a constant command. A gain error does not grow with frequency.
 """
 
 from __future__ import annotations

@@ -30,6 +30,22 @@ def lagged(values: Array, tau_s: float, Ts_s: float) -> Array:
     return np.asarray(_lagged(np.ascontiguousarray(values), tau_s, Ts_s))
 
 
+def lagged_motion(values: Array, tau_s: float, Ts_s: float) -> Array:
+    """Return samples (N,) after a first-order lag, exact for inputs whose curvature changes slowly.
+
+    What the constant curvature of each period adds to `lagged`: samples of a mass lie on parabolas.
+    """
+    ratio = Ts_s / tau_s
+    mean = -math.expm1(-ratio) / ratio  # of the weights e^(-ratio (1 - s)), s from 0 to 1
+    first = (1.0 - mean) / ratio  # with the factor s
+    bend = 0.5 * ratio * ((1.0 - 2.0 * first) / ratio - first)  # with s (s - 1) / 2
+    curvature = np.zeros(len(values))  # of the period before each sample
+    turn = values[3:] - values[2:-1] - values[1:-2] + values[:-3]
+    curvature[2:-1] = 0.5 * turn
+    more = _decaying(bend * curvature, math.exp(-ratio))
+    return np.asarray(lagged(values, tau_s, Ts_s) + more)
+
+
 def lagged_mean(held: Array, tau_s: float, Ts_s: float) -> Array:
     """Return the mean (N,) over each period of held commands after a first-order lag."""
     decay = math.exp(-Ts_s / tau_s)
@@ -195,6 +211,16 @@ def _lagged(x, tau_s, Ts_s):  # type: ignore[no-untyped-def]
     out[0] = x[0]
     for k in range(len(x) - 1):
         out[k + 1] = decay * out[k] + (mean - decay) * x[k] + (1 - mean) * x[k + 1]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _decaying(given, decay):  # type: ignore[no-untyped-def]
+    out = np.empty_like(given)
+    left = 0.0
+    for k in range(len(given)):
+        left = decay * left + given[k]
+        out[k] = left
     return out
 
 

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_sensor
-from .lag_and_hysteresis_recursions import held, jumping, lagged, play
+from .lag_and_hysteresis_recursions import held, jumping, lagged_motion, play
 from .operating_range import Extent
 
 _LAG_S = 2e-3
@@ -86,7 +86,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 def _lag(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
     h = signals.gap(sensor)
-    return [on_sensor(signals, sensor, (lagged(h, shape[0], signals.Ts_s) - h) / shape[0])]
+    return [on_sensor(signals, sensor, (lagged_motion(h, shape[0], signals.Ts_s) - h) / shape[0])]
 
 
 def _play(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:

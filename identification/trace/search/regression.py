@@ -208,9 +208,10 @@ def standard_errors(evidence: ColumnEvidence, columns: Indices) -> Array:
 
     What is left need be neither white nor of one size everywhere: blocks of time stand for
     themselves, in the sandwich H^-1 (sum of g g^T over blocks) H^-1 of their gradients g (Liang and
-    Zeger, Biometrika 73 (1986) 13), times B / (B - P) for P coefficients. Where that is less than
-    errors of one size would give, as by chance of few blocks, it is that; never less than noise of
-    unit variance.
+    Zeger, Biometrika 73 (1986) 13), times B / (B - P) for P coefficients. An equation that is not
+    exact is wrong in one way in a whole record, and in another way in the next: so records stand
+    for themselves too, times R / (R - 1). The largest counts, and at least what errors of one size
+    would give, and noise of unit variance.
     """
     pick = np.asarray(columns, int)
     spread = covariance(evidence.whole, pick)
@@ -218,7 +219,11 @@ def standard_errors(evidence: ColumnEvidence, columns: Indices) -> Array:
     gradients = evidence.gram[:, pick, -1] @ spread
     spare = evidence.blocks - len(pick)
     own = (gradients**2).sum(axis=0) * evidence.blocks / spare if spare > 0 else common
-    return np.asarray(np.sqrt(np.maximum(common, own)) / evidence.size[pick])
+    records = np.unique(evidence.record)
+    by_record = np.array([gradients[evidence.record == r].sum(axis=0) for r in records])
+    few = (by_record**2).sum(axis=0) * len(records) / max(len(records) - 1, 1)
+    largest = np.max([common, own, few if len(records) > 1 else common], axis=0)
+    return np.asarray(np.sqrt(largest) / evidence.size[pick])
 
 
 class Foretold(NamedTuple):

@@ -215,3 +215,17 @@ def test_a_lagged_command_moves_a_mass_as_far_as_its_mean_and_moment(tau: float)
     steady = np.arange(100) % 5 == 3  # the command changes at 0, and 2 periods later
     ways = way_of_a_mass(lag_and_hysteresis_recursions.with_moment(mean, moment), TS)
     assert np.abs(ways - exact)[steady].max() < 0.1 * off[0]
+
+
+@pytest.mark.parametrize("tau", [0.3e-3, 2e-3, 50e-3])
+def test_lag_of_a_motion_is_exact_for_a_parabola_and_for_a_slow_wave(tau: float):
+    t = np.arange(4000) * TS
+    lagged_motion = lag_and_hysteresis_recursions.lagged_motion
+    way = lagged_motion(0.5 * t**2, tau, TS)[:-2]
+    # t^2 / 2 after a lag is t^2 / 2 - tau t + tau^2, once the begin has decayed.
+    np.testing.assert_allclose(way[1000:], (0.5 * t**2 - tau * t + tau**2)[1000:-2], rtol=1e-9)
+    w = 2 * np.pi * 20
+    exact = np.imag(np.exp(1j * w * t) / (1 + 1j * w * tau))[1000:-10]
+    lines = lag_and_hysteresis_recursions.lagged(np.sin(w * t), tau, TS)[1000:-10]
+    curved = lagged_motion(np.sin(w * t), tau, TS)[1000:-10]
+    assert np.abs(curved - exact).max() < 0.1 * np.abs(lines - exact).max()

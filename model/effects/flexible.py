@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
-from .lag_and_hysteresis_recursions import lagged_mean, oscillator
+from .lag_and_hysteresis_recursions import oscillator
 from .operating_range import Extent
 from .point_force_conversion import forces
 
@@ -155,9 +155,7 @@ def _mode(signals: Signals, shape: Sequence[float], *, base: int) -> list[Term]:
     _, over_sensors, over_coils = patterns(signals.places)
     shares = np.insert(np.asarray(shape[2:], float), base, 1.0)
     drive = forces(delayed(signals), (over_coils @ shares)[:, None])[:, 0]
-    if signals.lag_s > 0.0:
-        drive = lagged_mean(drive, signals.lag_s, signals.Ts_s)
-    eta = oscillator(drive, shape[0], shape[1], signals.Ts_s)[:, 0]
+    eta = oscillator(drive, shape[0], shape[1], signals.Ts_s, signals.lag_s)[:, 0]
     return [Term(gap=np.outer(eta, over_sensors @ shares))]
 
 

@@ -160,19 +160,31 @@ def held(x: Array, stuck: NDArray[np.bool_]) -> Array:
     return np.asarray(x[np.maximum.accumulate(np.where(stuck, 0, rows))])
 
 
-def oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: float) -> Array:
+def oscillator(
+    force: Array, frequency_hz: float, damping: float, Ts_s: float, tau_s: float = 0.0
+) -> Array:
     """Return (N, 2) position and velocity of eta'' + 2 zeta w eta' + w^2 eta = force.
 
-    Exact for a force (N,) that is held from row to row. It starts at rest in the equilibrium of the
-    first sample.
+    Exact for a force (N,) that is held from row to row, then lagged by tau_s. It starts at rest in
+    the equilibrium of the first sample.
     """
     w = 2 * math.pi * frequency_hz
     wd = w * math.sqrt(max(1 - damping**2, 1e-12))
     decay = math.exp(-damping * w * Ts_s)
     c, s = decay * math.cos(wd * Ts_s), decay * math.sin(wd * Ts_s) / wd
     a, b = c + damping * w * s, s
-    step = np.array([a, b, -(w**2) * s, c - damping * w * s, (1 - a) / w**2, b])
-    return np.asarray(_oscillator(np.ascontiguousarray(force), step, force[0] / w**2))
+    step = [a, b, -(w**2) * s, c - damping * w * s, (1 - a) / w**2, b, 0.0, 0.0]
+    force = np.ascontiguousarray(force)
+    fading = np.zeros_like(force)
+    if tau_s > 0.0:
+        # In each period the lagged force is the held one and what fades of the difference before:
+        # for exp(-t / tau), exp(-t / tau) / (1 / tau^2 - 2 zeta w / tau + w^2) is a solution.
+        rate, left = 1.0 / tau_s, math.exp(-Ts_s / tau_s)
+        static = 1.0 / (rate * (rate - 2.0 * damping * w) + w**2)
+        step[6] = static * (left - (step[0] - rate * step[1]))
+        step[7] = static * (-rate * left - (step[2] - rate * step[3]))
+        fading = _lagged_held(force, left, 1.0) - force
+    return np.asarray(_oscillator(force, fading, np.array(step), force[0] / w**2))
 
 
 def yielding(
@@ -378,14 +390,14 @@ def _jumping(x, width):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _oscillator(force, step, start):  # type: ignore[no-untyped-def]
+def _oscillator(force, fading, step, start):  # type: ignore[no-untyped-def]
     out = np.empty((len(force), 2))
     eta, rate = start, 0.0
     for k in range(len(force)):
         out[k, 0] = eta
         out[k, 1] = rate
         eta, rate = (
-            step[0] * eta + step[1] * rate + step[4] * force[k],
-            step[2] * eta + step[3] * rate + step[5] * force[k],
+            step[0] * eta + step[1] * rate + step[4] * force[k] + step[6] * fading[k],
+            step[2] * eta + step[3] * rate + step[5] * force[k] + step[7] * fading[k],
         )
     return out

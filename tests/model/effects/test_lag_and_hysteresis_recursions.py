@@ -229,3 +229,16 @@ def test_lag_of_a_motion_is_exact_for_a_parabola_and_for_a_slow_wave(tau: float)
     lines = lag_and_hysteresis_recursions.lagged(np.sin(w * t), tau, TS)[1000:-10]
     curved = lagged_motion(np.sin(w * t), tau, TS)[1000:-10]
     assert np.abs(curved - exact).max() < 0.1 * np.abs(lines - exact).max()
+
+
+@pytest.mark.parametrize("tau", [0.3e-3, 3e-3])
+def test_oscillator_is_exact_for_a_lagged_command(tau: float):
+    held, fine = np.random.default_rng(3).normal(size=60), 2000
+    recursions, f, zeta = lag_and_hysteresis_recursions, 115.0, 0.01
+    found = recursions.oscillator(held, f, zeta, TS, tau)
+    shares = (np.arange(fine) + 0.5) / fine
+    force = np.stack([recursions.lagged_within(held, tau, TS, s) for s in shares], axis=1)
+    exact = recursions.oscillator(force.reshape(-1), f, zeta, TS / fine)[::fine]
+    # The midpoint rule has an error of (Ts / tau / fine)^2 / 24.
+    size = np.abs(exact).max(axis=0)
+    np.testing.assert_allclose(found / size, exact / size, atol=1e-6)

@@ -176,6 +176,11 @@ def words(found: Trace) -> list[str]:
         lines += _effect(effect)
         if result.perhaps_part_of(effect):
             lines.append(f"    {PERHAPS_A_PART}")
+        elif effect.evidence and result.in_doubt(effect):
+            left = 100 * effect.evidence.left_share
+            lines.append(
+                f"    in doubt: {left:.2g} % of the squared prediction error is left with it"
+            )
     for force in result.shaken:
         s = force.shaking
         lines += [

@@ -109,7 +109,7 @@ def score_plant(cases: Sequence[Case], summary: Mapping[str, Any], floor: float)
     reports = [_report(effect) for effect in summary["effects"]]
     score = Score("; ".join(map(str, reports)) or "nothing", before, after)
     if len(cases) == 1 and cases[0].kind == "unknown":
-        return _score_unlisted(cases[0], reports, summary, score)
+        return _score_unlisted(cases[0], reports, score)
     return _score_listed(cases, reports, summary, score)
 
 
@@ -148,11 +148,9 @@ def _score_listed(
     return replace(score, right=right, false_alarms=len(alarms), hidden=right and bool(hidden))
 
 
-def _score_unlisted(
-    case: Case, reports: Sequence[_Report], summary: Mapping[str, Any], score: Score
-) -> Score:
+def _score_unlisted(case: Case, reports: Sequence[_Report], score: Score) -> Score:
     wrong = [r for r in reports if not any(o.fits_unlisted(case) for o in r.options)]
-    if summary["unexplained"].get("doubtful") or all(r.doubtful for r in wrong):
+    if all(r.doubtful for r in wrong):
         wrong = []
     free = [r for r in reports if r.options[0].fits_unlisted(case)]
     where = frozenset().union(*(r.options[0].where - r.options[0].depends_on(case) for r in free))
@@ -196,5 +194,5 @@ def _report(effect: Mapping[str, Any]) -> _Report:
         _Named(o["class"], frozenset(o["where"]), (o["where"] or [""])[0])
         for o in (*members, *evidence.get("alternatives", []))
     )
-    doubtful = bool(evidence.get("perhaps_part_of"))
+    doubtful = bool(evidence.get("perhaps_part_of") or evidence.get("doubtful"))
     return _Report(options, frozenset(evidence.get("signals", [])), doubtful)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,8 +24,9 @@ from .residual.free_run_error import (
 )
 from .residual.random_vibration import RandomVibration
 from .run_trace import Trace
+from .search.backward_elimination import brought
 from .search.predictive_criterion import certainty
-from .search.tested_candidate import Round, Tried
+from .search.tested_candidate import Tried
 from .search_options import SearchOptions
 
 Array = NDArray[np.float64]
@@ -68,7 +69,9 @@ class Evidence:
     reduction of the cross-validated squared error; `share`: the same over the squared error above
     noise at that time, None if that was negligible. `alternatives` are not told from it by these
     records. support: share of resamples of the blocks that choose the effect or one of these;
-    shares: of resamples in which each of [the effect, *alternatives] fits best.
+    shares: of resamples in which each of [the effect, *alternatives] fits best. left_share: of the
+    one-step-ahead squared error above noise without the effect, the share that is left with it; 0
+    where noise leaves as much.
     """
 
     statistic: float
@@ -79,6 +82,7 @@ class Evidence:
     alternatives: tuple[Effect, ...]
     support: float = math.nan
     shares: tuple[float, ...] = ()
+    left_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -191,30 +195,30 @@ class Outcome:
         there = self.before**2 - self.floor**2
         return 1.0 - (self.after**2 - self.floor**2) / there if there > 0.0 else math.nan
 
-    @property
-    def doubtful(self) -> bool:
-        """Whether named effects are uncertain: much of what there was is not explained.
+    def in_doubt(self, found: FoundEffect) -> bool:
+        """Return whether a name is uncertain: much of what is there is left with it.
 
         If the true effect is not in the table, the best candidate still explains a part of it. What
-        is left is large, or as large a share of the prediction errors as an effect must take: an
+        is left is large, or as large a share of what it takes as an effect must take itself: an
         equation that is right leaves far less.
         """
-        return any(not f.unknown for f in self.effects) and bool(self._doubt)
+        left = 0.0 if found.evidence is None else found.evidence.left_share
+        return not found.unknown and (bool(self.doubt) or left > self.least_gain)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether any name is uncertain."""
+        return any(self.in_doubt(f) for f in self.effects)
 
     @property
     def doubt(self) -> str:
-        """Why named effects are uncertain, in words; empty if they are not."""
-        return self._doubt if self.doubtful else ""
-
-    @property
-    def _doubt(self) -> str:
-        if self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED:
+        """Why all names are uncertain, in words; empty if they are not."""
+        named = any(not f.unknown for f in self.effects)
+        if named and self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED:
             return (
                 f"the effects explain {100 * self.explained:.2g} % of the squared error above "
                 f"noise, and {self.after / self.floor:.2g} times the noise floor is left"
             )
-        if self.unpredicted > self.least_gain:
-            return f"{100 * self.unpredicted:.2g} % of the prediction errors above noise are left"
         return ""
 
     def perhaps_part_of(self, found: FoundEffect) -> tuple[str, ...]:
@@ -233,17 +237,21 @@ class Outcome:
     @property
     def verdict(self) -> str:
         """The result in a sentence."""
-        known = [
-            f.name + (f" ({PERHAPS_A_PART})" if self.perhaps_part_of(f) else "")
-            for f in self.effects
-            if not f.unknown
-        ]
-        names = ", ".join(known + [s.name for s in self.shaken])
+        parts = []
+        for word, doubtful in (("found", False), ("perhaps", True)):
+            names = [
+                f.name + (f" ({PERHAPS_A_PART})" if self.perhaps_part_of(f) else "")
+                for f in self.effects
+                if not f.unknown and self.in_doubt(f) is doubtful
+            ]
+            if not doubtful:
+                names += [s.name for s in self.shaken]
+            if names:
+                parts.append(f"{word}: {', '.join(names)}")
         forms = ", ".join(f.effect.name for f in self.effects if f.unknown)
-        if self.effects or self.shaken:
-            parts = [f"{'perhaps' if self.doubtful else 'found'}: {names}"] if names else []
-            if forms:
-                parts.append(f"not explained by a known effect, described by free forms: {forms}")
+        if forms:
+            parts.append(f"not explained by a known effect, described by free forms: {forms}")
+        if parts:
             return "; ".join([*parts, self.rest])
         if self.significant:
             return (
@@ -285,7 +293,7 @@ def outcome(trace: Trace) -> Outcome:
     """Return the result of a trace in numbers."""
     placed = {p.effect.identity: p for p in trace.found.point.placed}
     started = {p.effect.identity: p.effect.name for p in trace.declared.placed}
-    evidence = _evidence(trace.found.rounds, trace.found.supports)
+    evidence = _evidence(trace)
     before, _ = pooled(trace.before)
     after, floor = pooled(trace.after)
     taken = {
@@ -334,7 +342,7 @@ def summary(trace: Trace) -> dict[str, Any]:
     plain: dict[str, Any] = plain_json(
         {
             "effects": [
-                *(_effect(f, trace.places, found.perhaps_part_of(f)) for f in found.effects),
+                *(_effect(f, trace.places, found) for f in found.effects),
                 *(_random(s) for s in found.shaken),
             ],
             "validation": {
@@ -459,32 +467,46 @@ def _kind(effect: Effect) -> tuple[str, tuple[str, ...]]:
     return effect.effect_class, effect.where
 
 
-def _evidence(rounds: Sequence[Round], supports: Mapping[str, float]) -> dict[str, Evidence]:
+def _evidence(trace: Trace) -> dict[str, Evidence]:
     """Return the evidence of accepted effects, by identity."""
+    point, train = trace.found.point, trace.found.train
+    left = _left(trace)
+    without = {
+        p.effect.identity: left + max(cost, 0.0)
+        for p, cost in zip(point.placed, brought(point, train), strict=True)
+    }
     return {
-        r.taken.effect.identity: Evidence(
+        (key := r.taken.effect.identity): Evidence(
             certainty(r.taken.agreement),
             r.taken.agreement.asked,
             r.taken.gain,
             min(r.taken.gain / r.excess, 1.0) if r.excess > _MIN_EXCESS_SHARE * r.count else None,
             number,
             tuple(t.effect for t in r.alternatives),
-            supports.get(r.taken.effect.identity, math.nan),
+            trace.found.supports.get(key, math.nan),
             r.shares or (1.0,),
+            left / without[key] if left > 0.0 and key in without else 0.0,
         )
-        for number, r in enumerate(rounds, start=1)
+        for number, r in enumerate(trace.found.rounds, start=1)
         if r.taken is not None
     }
 
 
-def _unpredicted(trace: Trace) -> float:
-    """Return the share of the prediction errors above noise that no effect takes, 0 if it is noise.
+def _left(trace: Trace) -> float:
+    """Return the squared prediction errors above noise, 0 if noise leaves as much.
 
     Free forms take a part of it too: what they describe is not left.
     """
-    first, train = trace.found.rounds[0], trace.found.train
-    there, left = first.excess / first.count, train.excess / float(train.count.sum())
-    return left / there if left > trace.options.visible and there > 0.0 else 0.0
+    train = trace.found.train
+    visible = trace.options.visible * float(train.count.sum())
+    return train.excess if train.excess > visible else 0.0
+
+
+def _unpredicted(trace: Trace) -> float:
+    """Return the share of the first prediction errors above noise that is left."""
+    first, count = trace.found.rounds[0], float(trace.found.train.count.sum())
+    there = first.excess / first.count * count
+    return _left(trace) / there if there > 0.0 else 0.0
 
 
 def _dof_errors(trace: Trace) -> tuple[DofError, ...]:
@@ -527,7 +549,7 @@ def _beyond(trace: Trace) -> float | None:
     return float(shares(trace.after) @ squares) / float(sensors - n)
 
 
-def _effect(found: FoundEffect, places: Places, part_of: Sequence[str]) -> dict[str, Any]:
+def _effect(found: FoundEffect, places: Places, result: Outcome) -> dict[str, Any]:
     effect, why = found.effect, found.evidence
     evidence: dict[str, Any] = {"equation": effect.equation}
     if found.unknown:
@@ -540,7 +562,9 @@ def _effect(found: FoundEffect, places: Places, part_of: Sequence[str]) -> dict[
             "share": why.share,
             "round": why.round,
             "alternatives": [_named(e) for e in why.alternatives],
-            "perhaps_part_of": list(part_of),
+            "perhaps_part_of": list(result.perhaps_part_of(found)),
+            "left_share": why.left_share,
+            "doubtful": result.in_doubt(found),
         }
     evidence |= {"absorbed_by": effect.absorbed_by, "told_apart_by": telling(found)}
     parameters = {

@@ -55,7 +55,8 @@ def _title(result: Outcome) -> str:
     if len(result.effects) > _MOST_NAMED:
         return f"{len(result.effects)} effects found"
     if result.effects or result.shaken:
-        return listed([f.name for f in result.effects] + [s.name for s in result.shaken])
+        names = [f"perhaps {f.name}" if result.in_doubt(f) else f.name for f in result.effects]
+        return listed(names + [s.name for s in result.shaken])
     if result.significant:
         return "something unexplained"
     unknown = result.overrated or not result.noise_measured
@@ -159,10 +160,15 @@ def _sentence(found: FoundEffect, views: Views) -> str:
 
 
 def _doubt(result: Outcome, found: FoundEffect) -> str:
-    forms = result.perhaps_part_of(found)
-    if not forms:
-        return ""
-    return f" It is {PERHAPS_A_PART}: the table lacks what is there, and this may be its best."
+    if result.perhaps_part_of(found):
+        return f" It is {PERHAPS_A_PART}: the table lacks what is there, and this may be its best."
+    if found.evidence and result.in_doubt(found) and not result.doubt:
+        return (
+            f" It is in doubt: {share_text(found.evidence.left_share)} of the squared prediction "
+            "error that there is without it is left with it. If the table lacks what is there, its "
+            "best takes something too."
+        )
+    return ""
 
 
 def _shaken(force: RandomForce) -> str:

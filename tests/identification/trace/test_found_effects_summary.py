@@ -15,6 +15,8 @@ from levid.model.effects.freeform import freeform_effects
 from levid.model.effects.operating_range import Extent
 
 EXTENT = Extent((1e-4,) * 3, (1e-2,) * 3, 1e-4, 12.0, 0.2)
+COIL = next(e for e in all_effects(rig_places()) if e.identity == "coil_gain@coil:6")
+FREE = next(e for e in freeform_effects(rig_places(), EXTENT) if e.where == ("psi",))
 CUBIC = next(e for e in all_effects(rig_places()) if e.identity == "rod_stiffness.cubic@z")
 
 
@@ -47,12 +49,19 @@ def test_effects_that_explain_little_of_a_large_error_are_in_doubt(
 
 
 @pytest.mark.parametrize(("left", "doubtful"), [(0.0, False), (0.02, False), (0.13, True)])
-def test_effects_that_leave_a_tenth_of_the_prediction_errors_are_in_doubt(
+def test_an_effect_that_leaves_a_tenth_of_what_it_takes_is_in_doubt(
     left: float, doubtful: bool
 ) -> None:
     """A cable chain's friction took 84 % of a covered beam's drag, and left 1.07 floors."""
-    assert replace(result(1.5, 1.07), unpredicted=left).doubtful is doubtful
-    assert not replace(result(1.5, 1.07, named=False), unpredicted=left).doubtful
+    sure, named, free = (
+        FoundEffect(Placed(effect, (), (1.0,)), Evidence(9.0, False, 1e5, 1.0, 1, (), left_share=x))
+        for effect, x in ((COIL, 0.01), (CUBIC, left), (FREE, 0.5))
+    )
+    found = Outcome((sure, named, free), (), 1.5, 1.07, 1.0, (), 1.1, 1.0, (), (), ())
+    assert [found.in_doubt(f) for f in found.effects] == [False, doubtful, False]
+    assert found.doubtful is doubtful
+    perhaps = f"perhaps: {CUBIC.name}" if doubtful else f"found: {COIL.name}, {CUBIC.name}"
+    assert perhaps in found.verdict
 
 
 def test_effect_at_the_location_of_a_free_form_may_be_part_of_it() -> None:

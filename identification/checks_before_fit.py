@@ -16,7 +16,7 @@ from ..config.model import ModelConfig
 from ..model.declared_model import DeclaredModel, ModelError
 from ..model.second_order import discretise, lagged
 from .greybox.declared_model_from_config import declared_model
-from .greybox.experiment_from_log import Experiment
+from .greybox.experiment.experiment_from_log import Experiment
 from .greybox.fit import unidentifiable_at_start
 from .greybox.free_parameters import free_parameters
 from .greybox.validation import metric_of

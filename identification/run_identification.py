@@ -13,7 +13,7 @@ from ..log.errors import LogError
 from ..log.reader import Log, read_log
 from .checks_before_fit import check_before_fit
 from .greybox.declared_model_from_config import declared_model
-from .greybox.experiment_from_log import Experiment
+from .greybox.experiment.experiment_from_log import Experiment
 from .greybox.identify_greybox import GreyBox, identify_grey_box
 from .identify import identify
 from .nonparametric.robust_multisine import (

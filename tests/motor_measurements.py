@@ -9,7 +9,7 @@ import numpy as np
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment_from_log import experiment_from_log
+from levid.identification.greybox.experiment.experiment_from_log import experiment_from_log
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.log.reader import read_log
 

@@ -30,7 +30,10 @@ from levid.benchmarks.identification.simulated_flight_and_truth import (
 )
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
-from levid.identification.greybox.experiment_from_log import Experiment, experiment_from_log
+from levid.identification.greybox.experiment.experiment_from_log import (
+    Experiment,
+    experiment_from_log,
+)
 from levid.identification.greybox.fit import fit_model
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.identification.records.record import IdentificationError

@@ -25,8 +25,8 @@ from levid.benchmarks.harness.benchmark_runner import Figure, Target, run
 from levid.config.base import parse
 from levid.config.controller import ControllerConfig
 from levid.config.model import ModelConfig
-from levid.identification.greybox.controller_file import controller_of_config
-from levid.identification.greybox.experiment_from_log import experiment_from_log
+from levid.identification.greybox.experiment.controller_file import controller_of_config
+from levid.identification.greybox.experiment.experiment_from_log import experiment_from_log
 from levid.identification.greybox.identify_greybox import GreyBox, identify_grey_box
 from levid.identification.subspace.response_uncertainty import SURE_95
 from levid.log.importing.importer import import_file

@@ -30,7 +30,7 @@ from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, sh
 from levid.benchmarks.trace.imported_plant_cases import declared
 from levid.benchmarks.trace.imported_plant_effects import CASES, LAWS, Case, case
 from levid.benchmarks.trace.support_calibration import Statement, figures, statements
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.subspace.response_uncertainty import SURE_95
 from levid.identification.trace.force_regression import force_trace_summary
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records

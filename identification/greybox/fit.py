@@ -14,13 +14,13 @@ from ...config.model import ModelConfig
 from ...model.declared_model import DeclaredModel, ModelError
 from ..records.record import IdentificationError
 from .declared_model_from_config import declared_model
-from .discretisation import motion
-from .experiment_from_log import Experiment
+from .experiment.experiment_from_log import Experiment
 from .free_parameters import free_parameters
 from .identifiability import Unidentifiable, find_unidentifiable
-from .noise_estimate import estimate_noise
-from .noise_model import Filter, Noise
-from .prediction_errors import Prediction, errors_of, predict, settled
+from .prediction.discretisation import motion
+from .prediction.noise_estimate import estimate_noise
+from .prediction.noise_model import Filter, Noise
+from .prediction.prediction_errors import Prediction, errors_of, predict, settled
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

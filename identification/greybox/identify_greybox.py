@@ -15,14 +15,14 @@ from ...model.second_order import StateSpace, discretise, lagged
 from ..records.record import IdentificationError
 from ..subspace.response_uncertainty import SURE_95
 from .declared_model_from_config import declared_model
-from .experiment_from_log import Experiment
+from .experiment.experiment_from_log import Experiment
+from .experiment.intersample_input import Hold
 from .fit import Fit, fit_model
 from .force_balance.instrumental_variables import ForceBalance, fit_force_balance
 from .free_parameters import free_parameters
-from .free_run import free_run
-from .intersample_input import Hold
-from .multistep_prediction import predict_ahead
-from .noise_model import Noise
+from .free_run.free_run_simulation import free_run
+from .prediction.multistep_prediction import predict_ahead
+from .prediction.noise_model import Noise
 from .validation import Validation, metric_of, validate, whiteness
 
 Array = NDArray[np.float64]

@@ -13,15 +13,15 @@ from scipy.stats import chi2, norm
 
 from ...model.declared_model import DeclaredModel
 from ..subspace.fit_percent import nrmse_fit_percent
-from .discretisation import motion
-from .experiment_from_log import Experiment
+from .experiment.experiment_from_log import Experiment
+from .experiment.intersample_input import Hold
 from .force_balance.instrumental_variables import force_percent
-from .free_run import first_row, free_run
-from .free_run_noise_floor import floor_psd, noise_floor
-from .intersample_input import Hold
-from .multistep_prediction import horizon_rows, predict_ahead
-from .noise_model import Noise
-from .prediction_errors import predict
+from .free_run.free_run_noise_floor import floor_psd, noise_floor
+from .free_run.free_run_simulation import first_row, free_run
+from .prediction.discretisation import motion
+from .prediction.multistep_prediction import horizon_rows, predict_ahead
+from .prediction.noise_model import Noise
+from .prediction.prediction_errors import predict
 
 Array = NDArray[np.float64]
 

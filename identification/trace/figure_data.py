@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.effects.base import Placed, Signals
-from ..greybox.free_run_noise_floor import floor_psd
+from ..greybox.free_run.free_run_noise_floor import floor_psd
 from .linearised.gram_matrices import BLOCK_S
 from .linearised.linearisation_point import Along, WorkingPoint
 from .records.record_from_log import TraceRecord

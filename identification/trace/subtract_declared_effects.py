@@ -17,10 +17,10 @@ from ...log.reader import Log
 from ...model.effects.base import Term
 from ...model.effects.effect_serialization import placed_effects
 from ..greybox.declared_model_from_config import declared_model
-from ..greybox.discretisation import motion
-from ..greybox.experiment_from_log import Experiment, experiment_from_log
+from ..greybox.experiment.experiment_from_log import Experiment, experiment_from_log
 from ..greybox.fit import first_noise
 from ..greybox.free_parameters import free_parameters
+from ..greybox.prediction.discretisation import motion
 from ..records.record import IdentificationError
 from .linearised.linearisation_point import WorkingPoint, filtered
 from .records.record_from_log import trace_record

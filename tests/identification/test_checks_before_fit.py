@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.checks_before_fit import check_before_fit
-from levid.identification.greybox.control_loop import ControlLoop
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.control_loop import ControlLoop
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.options import Options
 from levid.identification.records.record import Record
 from levid.model.controller import pi_controller

@@ -23,7 +23,7 @@ from levid.identification.export import (
     write_multisine_mat,
 )
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.greybox.identify_greybox import GreyBox, identify_grey_box
 from levid.identification.identify import identify
 from levid.identification.nonparametric.frequency_response import ResponseEstimate

@@ -7,7 +7,7 @@ import pytest
 
 from levid.config.base import ConfigError, parse_text
 from levid.config.controller import ControllerConfig
-from levid.identification.greybox.controller_file import controller_of_config
+from levid.identification.greybox.experiment.controller_file import controller_of_config
 from levid.model.controller import Controller, pi_controller
 
 TS = 2e-3

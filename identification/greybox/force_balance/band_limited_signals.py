@@ -16,8 +16,8 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.signal import detrend, welch
 
 from ...records.record import IdentificationError
-from ..experiment_from_log import Experiment
-from ..intersample_input import Hold
+from ..experiment.experiment_from_log import Experiment
+from ..experiment.intersample_input import Hold
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel
 from ...subspace.response_uncertainty import SURE_95
-from ..experiment_from_log import Experiment
-from ..intersample_input import Hold
+from ..experiment.experiment_from_log import Experiment
+from ..experiment.intersample_input import Hold
 from .band_limited_signals import (
     BAND_STEPS,
     SHORTEST_ROWS,

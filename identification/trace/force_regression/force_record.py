@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Effect, Placed, Signals, Term
 from ....model.second_order import SecondOrder
+from ...greybox.experiment.intersample_input import Hold
 from ...greybox.force_balance.band_limited_signals import BandLimited
 from ...greybox.free_parameters import FreeParameters
-from ...greybox.intersample_input import Hold
 from ..records.record_from_log import TraceRecord
 
 Array = NDArray[np.float64]

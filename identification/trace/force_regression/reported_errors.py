@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...greybox.free_run_noise_floor import floor_rms
-from ...greybox.intersample_input import Hold
-from ...greybox.noise_model import Noise
+from ...greybox.experiment.intersample_input import Hold
+from ...greybox.free_run.free_run_noise_floor import floor_rms
+from ...greybox.prediction.noise_model import Noise
 from ...greybox.validation import metric_of
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint

@@ -15,6 +15,7 @@ from ....model.effects.base import Effect, Places
 from ....model.effects.effect_serialization import placed_effects
 from ....model.effects.operating_range import Extent
 from ...greybox.declared_model_from_config import declared_model
+from ...greybox.experiment.intersample_input import Hold
 from ...greybox.force_balance.band_limited_signals import (
     BAND_STEPS,
     SHORTEST_ROWS,
@@ -24,7 +25,6 @@ from ...greybox.force_balance.band_limited_signals import (
 )
 from ...greybox.free_parameters import free_parameters
 from ...greybox.identify_greybox import stated_noise
-from ...greybox.intersample_input import Hold
 from ...records.record import IdentificationError
 from ..records.check_common_session_time import overlap
 from ..records.initial_guesses import extent

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ....model.effects.rotor import pushes
-from ...greybox.intersample_input import held_step, lagged_input
+from ...greybox.experiment.intersample_input import held_step, lagged_input
 from .innovations_filter_bank import thinned
 from .linearisation_point import Along
 

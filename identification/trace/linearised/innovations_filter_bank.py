@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Term
-from ...greybox.discretisation import Motion
-from ...greybox.intersample_input import Hold, held_step, lagged_input, moments
-from ...greybox.noise_model import Filter
+from ...greybox.experiment.intersample_input import Hold, held_step, lagged_input, moments
+from ...greybox.prediction.discretisation import Motion
+from ...greybox.prediction.noise_model import Filter
 from ..records.record_from_log import TraceRecord
 from .intersample_moments import around, force_moments, polynomial_weights
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ...greybox.intersample_input import Hold, moments
+from ...greybox.experiment.intersample_input import Hold, moments
 
 Array = NDArray[np.float64]
 

@@ -11,12 +11,12 @@ from scipy.optimize import minimize_scalar
 
 from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Placed, Signals, Term, together, with_sensor_arms
-from ...greybox.discretisation import Motion, motion
-from ...greybox.experiment_from_log import Experiment
+from ...greybox.experiment.experiment_from_log import Experiment
+from ...greybox.experiment.intersample_input import Hold
 from ...greybox.free_parameters import FreeParameters
-from ...greybox.intersample_input import Hold
-from ...greybox.noise_model import Filter, kalman_filter
-from ...greybox.prediction_errors import predict_along, settled
+from ...greybox.prediction.discretisation import Motion, motion
+from ...greybox.prediction.noise_model import Filter, kalman_filter
+from ...greybox.prediction.prediction_errors import predict_along, settled
 from ...records.record import IdentificationError
 from ..records.effect_signals import measured_signals
 from ..records.record_from_log import TraceRecord

@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...greybox.discretisation import motion
-from ...greybox.prediction_errors import predict_along
+from ...greybox.prediction.discretisation import motion
+from ...greybox.prediction.prediction_errors import predict_along
 from ..records.record_from_log import TraceRecord
 from .gram_matrices import block_edges
 from .innovations_filter_bank import thinned

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Signals
-from ...greybox.discretisation import Motion, innovations
-from ...greybox.noise_model import Filter
-from ...greybox.prediction_errors import settled
+from ...greybox.prediction.discretisation import Motion, innovations
+from ...greybox.prediction.noise_model import Filter
+from ...greybox.prediction.prediction_errors import settled
 from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]

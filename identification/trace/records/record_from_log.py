@@ -17,8 +17,12 @@ from ....model.effects.base import Places
 from ....model.effects.force_units import force_units
 from ....model.geometry import shape_matrix
 from ...greybox.declared_model_from_config import declared_model
-from ...greybox.experiment_from_log import Experiment, coil_excitation, experiment_from_log
-from ...greybox.noise_model import Filter
+from ...greybox.experiment.experiment_from_log import (
+    Experiment,
+    coil_excitation,
+    experiment_from_log,
+)
+from ...greybox.prediction.noise_model import Filter
 from ...records.from_log import (
     array_field,
     cycles_at_limit,

@@ -18,9 +18,9 @@ from scipy.stats import chi2
 
 from ....model.declared_model import DeclaredModel
 from ....model.second_order import discretise
-from ...greybox.experiment_from_log import Experiment
-from ...greybox.free_run_noise_floor import powers_of
-from ...greybox.noise_model import Noise
+from ...greybox.experiment.experiment_from_log import Experiment
+from ...greybox.free_run.free_run_noise_floor import powers_of
+from ...greybox.prediction.noise_model import Noise
 from ...records.record import IdentificationError
 from .record_from_log import TraceRecord
 from .sensor_white_noise import white_noise

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ....model.effects.base import Placed, Term
-from ...greybox.discretisation import Motion, input_moments
-from ...greybox.free_run_noise_floor import powers_of
+from ...greybox.free_run.free_run_noise_floor import powers_of
+from ...greybox.prediction.discretisation import Motion, input_moments
 from ..linearised.drive_force_residual import beside_motion, calm, drive_errors
 from ..linearised.intersample_moments import force_moments
 from ..linearised.linearisation_point import Along, WorkingPoint, along, corrected_experiment

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from ...greybox.free_run_noise_floor import motion_covariance
+from ...greybox.free_run.free_run_noise_floor import motion_covariance
 from ..linearised.gram_matrices import BLOCK_S
 from ..linearised.linearisation_point import WorkingPoint
 from ..records.record_from_log import TraceRecord

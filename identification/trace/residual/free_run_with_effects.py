@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Signals, Term, together, total
-from ...greybox.control_loop import ControlLoop
-from ...greybox.discretisation import Motion, motion
-from ...greybox.free_run import (
+from ...greybox.experiment.control_loop import ControlLoop
+from ...greybox.free_run.free_run_simulation import (
     Start,
     beginning,
     controller_state,
@@ -26,8 +25,9 @@ from ...greybox.free_run import (
     run_loop,
     run_open,
 )
-from ...greybox.noise_model import Filter
-from ...greybox.prediction_errors import settled
+from ...greybox.prediction.discretisation import Motion, motion
+from ...greybox.prediction.noise_model import Filter
+from ...greybox.prediction.prediction_errors import settled
 from ..linearised.intersample_moments import force_moments
 from ..linearised.linearisation_point import WorkingPoint, corrected_experiment, filter_of, filtered
 from ..records.effect_signals import rate, trajectory

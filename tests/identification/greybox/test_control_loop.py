@@ -11,7 +11,10 @@ from scipy.signal import lfilter
 from levid.config.base import ConfigError, parse_text
 from levid.config.model import ModelConfig
 from levid.identification.checks_before_fit import check_before_fit
-from levid.identification.greybox.experiment_from_log import Experiment, experiment_from_log
+from levid.identification.greybox.experiment.experiment_from_log import (
+    Experiment,
+    experiment_from_log,
+)
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.identification.options import Options
 from levid.log.importing.importer import import_file

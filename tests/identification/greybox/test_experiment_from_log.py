@@ -11,9 +11,9 @@ from in_memory_log import cycle_log, without
 from levid.config.model import ModelConfig, Scheduling, load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import experiment_from_log
-from levid.identification.greybox.noise_model import Noise
-from levid.identification.greybox.prediction_errors import predict
+from levid.identification.greybox.experiment.experiment_from_log import experiment_from_log
+from levid.identification.greybox.prediction.noise_model import Noise
+from levid.identification.greybox.prediction.prediction_errors import predict
 from levid.identification.records.from_log import rig_model
 from levid.identification.records.record import IdentificationError
 from levid.log.reader import Log

@@ -10,15 +10,15 @@ from scipy.linalg import expm
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
-from levid.identification.greybox.control_loop import ControlLoop
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.discretisation import innovations, motion
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.control_loop import ControlLoop
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.intersample_input import Hold, moments
 from levid.identification.greybox.fit import fit_model
-from levid.identification.greybox.free_run import free_run
+from levid.identification.greybox.free_run.free_run_simulation import free_run
 from levid.identification.greybox.identify_greybox import identify_grey_box, to_yaml
-from levid.identification.greybox.intersample_input import Hold, moments
-from levid.identification.greybox.noise_model import Noise, kalman_filter
+from levid.identification.greybox.prediction.discretisation import innovations, motion
+from levid.identification.greybox.prediction.noise_model import Noise, kalman_filter
 from levid.identification.greybox.validation import whiteness
 from levid.identification.records.record import IdentificationError
 from levid.model.controller import pi_controller

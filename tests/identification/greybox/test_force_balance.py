@@ -9,7 +9,7 @@ from scipy.signal import cont2discrete, lfilter
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.greybox.force_balance.band_limited_signals import (
     upper_limit,
     velocity_limit,

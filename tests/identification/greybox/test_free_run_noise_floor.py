@@ -10,12 +10,16 @@ from scipy.linalg import expm
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.control_loop import ControlLoop
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import Experiment
-from levid.identification.greybox.free_run import free_run
-from levid.identification.greybox.free_run_noise_floor import floor_psd, floor_rms, noise_floor
-from levid.identification.greybox.noise_model import Noise
+from levid.identification.greybox.experiment.control_loop import ControlLoop
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.greybox.free_run.free_run_noise_floor import (
+    floor_psd,
+    floor_rms,
+    noise_floor,
+)
+from levid.identification.greybox.free_run.free_run_simulation import free_run
+from levid.identification.greybox.prediction.noise_model import Noise
 from levid.identification.greybox.validation import validate
 from levid.model.controller import pi_controller
 

@@ -8,10 +8,10 @@ import pytest
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import Experiment
-from levid.identification.greybox.multistep_prediction import horizon_rows, predict_ahead
-from levid.identification.greybox.noise_model import Noise
-from levid.identification.greybox.prediction_errors import predict
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.greybox.prediction.multistep_prediction import horizon_rows, predict_ahead
+from levid.identification.greybox.prediction.noise_model import Noise
+from levid.identification.greybox.prediction.prediction_errors import predict
 from levid.model.second_order import discretise
 
 TS, ROWS = 0.005, 600

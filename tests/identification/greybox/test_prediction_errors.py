@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from levid.identification.greybox.discretisation import Motion, taylor_scale
-from levid.identification.greybox.filter_kernels import errors_and_unknowns, innovations_fixed
-from levid.identification.greybox.noise_model import Noise, kalman_filter
-from levid.identification.greybox.prediction_errors import predict_along
+from levid.identification.greybox.prediction.discretisation import Motion, taylor_scale
+from levid.identification.greybox.prediction.filter_kernels import (
+    errors_and_unknowns,
+    innovations_fixed,
+)
+from levid.identification.greybox.prediction.noise_model import Noise, kalman_filter
+from levid.identification.greybox.prediction.prediction_errors import predict_along
 
 Array = NDArray[np.float64]
 SENSOR_SD = 2e-7

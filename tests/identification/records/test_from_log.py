@@ -9,7 +9,7 @@ import pytest
 from in_memory_log import cycle_log
 
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment_from_log import experiment_from_log
+from levid.identification.greybox.experiment.experiment_from_log import experiment_from_log
 from levid.identification.identify import identify
 from levid.identification.options import Options
 from levid.identification.records.from_log import from_log, records_from_logs

@@ -11,7 +11,7 @@ from numpy.lib.recfunctions import drop_fields
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
-from levid.identification.greybox.experiment_from_log import experiment_from_log
+from levid.identification.greybox.experiment.experiment_from_log import experiment_from_log
 from levid.identification.records.command_alignment import align_commands
 from levid.identification.records.from_log import from_log
 from levid.identification.records.missing_samples import fill_missing, fillable

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.report.figures.compute_fitted_response import places_of
 from levid.report.figures.response_deviation import largest

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.trace.force_regression.force_record import ForceRecord
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.model.effects.base import Effect, Quantity, Signals, Term

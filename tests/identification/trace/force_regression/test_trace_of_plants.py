@@ -10,7 +10,7 @@ import pytest
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace.force_regression import trace_imported
 from levid.identification.trace.force_regression.force_trace_summary import (

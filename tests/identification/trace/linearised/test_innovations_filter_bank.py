@@ -26,11 +26,11 @@ from declared_model_records import (
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.discretisation import innovations, motion
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.greybox.free_parameters import free_parameters
-from levid.identification.greybox.noise_model import Noise, kalman_filter
-from levid.identification.greybox.prediction_errors import predict, settled
+from levid.identification.greybox.prediction.discretisation import innovations, motion
+from levid.identification.greybox.prediction.noise_model import Noise, kalman_filter
+from levid.identification.greybox.prediction.prediction_errors import predict, settled
 from levid.identification.trace.linearised import linearise_prediction_errors as linearised
 from levid.identification.trace.linearised.drive_force_residual import beside_motion
 from levid.identification.trace.linearised.innovations_filter_bank import (

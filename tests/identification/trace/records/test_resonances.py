@@ -9,8 +9,8 @@ import pytest
 from effect_test_helpers import rig_places
 from scipy import signal
 
-from levid.identification.greybox.control_loop import ControlLoop
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.control_loop import ControlLoop
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.resonances import resonances
 from levid.model.controller import pi_controller

@@ -14,13 +14,13 @@ from effect_test_helpers import rig_places
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
-from levid.identification.greybox.control_loop import ControlLoop
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import Experiment
-from levid.identification.greybox.free_run_noise_floor import motion_covariance
-from levid.identification.greybox.noise_covariance_scaling import correlation
-from levid.identification.greybox.noise_model import Noise
-from levid.identification.greybox.prediction_errors import predict
+from levid.identification.greybox.experiment.control_loop import ControlLoop
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.noise_covariance_scaling import correlation
+from levid.identification.greybox.free_run.free_run_noise_floor import motion_covariance
+from levid.identification.greybox.prediction.noise_model import Noise
+from levid.identification.greybox.prediction.prediction_errors import predict
 from levid.identification.trace.records.record_from_log import TraceRecord, split
 from levid.identification.trace.records.sensor_and_amplifier_noise import disturbance, sensor_noise
 from levid.identification.trace.records.spectral_lines import spectral_lines

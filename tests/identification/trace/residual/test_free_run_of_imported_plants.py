@@ -12,9 +12,9 @@ import pytest
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
-from levid.identification.greybox.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.greybox.free_parameters import free_parameters
-from levid.identification.greybox.noise_model import Noise
+from levid.identification.greybox.prediction.noise_model import Noise
 from levid.identification.trace.linearised.linearisation_point import WorkingPoint
 from levid.identification.trace.records.record_from_log import TraceRecord, imported_places
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from declared_model_records import PLACES, SHAPE, TS, point, record
 
-from levid.identification.greybox.discretisation import innovations, motion
+from levid.identification.greybox.prediction.discretisation import innovations, motion
 from levid.identification.trace.linearised.linearisation_point import (
     WorkingPoint,
     corrected_experiment,

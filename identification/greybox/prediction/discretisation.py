@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from ...model.declared_model import DeclaredModel, ModelError, inverse_mass
-from ..records.record import IdentificationError
+from ....model.declared_model import DeclaredModel, ModelError, inverse_mass
+from ...records.record import IdentificationError
+from ..experiment.experiment_from_log import Experiment
+from ..experiment.intersample_input import Hold, moments
 from . import filter_kernels
-from .experiment_from_log import Experiment
-from .intersample_input import Hold, moments
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.declared_model import DeclaredModel
+from ....model.declared_model import DeclaredModel
+from ..experiment.experiment_from_log import Experiment
+from ..experiment.intersample_input import Hold
 from .discretisation import motion
-from .experiment_from_log import Experiment
-from .intersample_input import Hold
 from .noise_model import Noise, kalman_filter
 from .prediction_errors import predict_along, settled
 

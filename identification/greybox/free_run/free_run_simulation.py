@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.declared_model import DeclaredModel
-from ..records.record import IdentificationError
-from . import filter_kernels
-from .control_loop import ControlLoop
-from .discretisation import Motion, innovations, motion, run_filter
-from .experiment_from_log import Experiment
-from .intersample_input import HeldStep, Hold, held_step, lagged_input
-from .noise_model import Filter, Noise, kalman_filter
-from .prediction_errors import predict_along, settled
+from ....model.declared_model import DeclaredModel
+from ...records.record import IdentificationError
+from ..experiment.control_loop import ControlLoop
+from ..experiment.experiment_from_log import Experiment
+from ..experiment.intersample_input import HeldStep, Hold, held_step, lagged_input
+from ..prediction import filter_kernels
+from ..prediction.discretisation import Motion, innovations, motion, run_filter
+from ..prediction.noise_model import Filter, Noise, kalman_filter
+from ..prediction.prediction_errors import predict_along, settled
 
 Array = NDArray[np.float64]
 

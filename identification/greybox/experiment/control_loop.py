@@ -11,11 +11,11 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import f as f_distribution
 from scipy.stats import norm
 
-from ...log.importing.signals_yaml import SignalsFile
-from ...log.reader import Log
-from ...model.controller import Controller
-from ..records.from_log import columns, require_finite
-from ..records.record import Record
+from ....log.importing.signals_yaml import SignalsFile
+from ....log.reader import Log
+from ....model.controller import Controller
+from ...records.from_log import columns, require_finite
+from ...records.record import Record
 from .controller_file import controller_of_config
 
 Array = NDArray[np.float64]

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...config.base import parse_text
-from ...config.model import ModelConfig
-from ...log.importing.header_units import known_unit
-from ...log.importing.signals_yaml import SignalsFile
-from ...log.reader import Log
-from ...model.controller import pi_controller
-from ...model.geometry import decoupling_matrix, shape_matrix
-from ..records.from_log import (
+from ....config.base import parse_text
+from ....config.model import ModelConfig
+from ....log.importing.header_units import known_unit
+from ....log.importing.signals_yaml import SignalsFile
+from ....log.reader import Log
+from ....model.controller import pi_controller
+from ....model.geometry import decoupling_matrix, shape_matrix
+from ...records.from_log import (
     EXCITATION,
     FEED_FORWARD,
     POSE,
@@ -30,8 +30,8 @@ from ..records.from_log import (
     require_stated_rate,
     rig_of,
 )
-from ..records.record import OTHER_STEP, IdentificationError, NotARecordError, Record
-from ..records.resampling import resample
+from ...records.record import OTHER_STEP, IdentificationError, NotARecordError, Record
+from ...records.resampling import resample
 from .control_loop import ControlLoop, imported_loop
 from .intersample_input import Hold
 from .noise_covariance_scaling import correlation

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_discrete_are
 
-from ..records.record import IdentificationError
+from ...records.record import IdentificationError
+from ..experiment.noise_covariance_scaling import correlation, scaled
 from . import filter_kernels
 from .discretisation import Motion, process_covariance
-from .noise_covariance_scaling import correlation, scaled
 
 Array = NDArray[np.float64]
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.declared_model import DeclaredModel
-from .discretisation import Motion, motion, process_covariance
-from .experiment_from_log import Experiment
-from .free_run import first_row, input_step
-from .intersample_input import HeldStep, Hold
-from .noise_model import Noise
+from ....model.declared_model import DeclaredModel
+from ..experiment.experiment_from_log import Experiment
+from ..experiment.intersample_input import HeldStep, Hold
+from ..prediction.discretisation import Motion, motion, process_covariance
+from ..prediction.noise_model import Noise
+from .free_run_simulation import first_row, input_step
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from ..records.record import IdentificationError
+from ...records.record import IdentificationError
+from ..experiment.experiment_from_log import Experiment
 from .discretisation import Motion
-from .experiment_from_log import Experiment
 from .noise_model import Noise, kalman_filter
 from .prediction_errors import predict_along
 

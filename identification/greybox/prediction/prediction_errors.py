@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.declared_model import DeclaredModel
-from ..records.record import IdentificationError
+from ....model.declared_model import DeclaredModel
+from ...records.record import IdentificationError
+from ..experiment.experiment_from_log import Experiment
+from ..experiment.intersample_input import Hold
 from . import filter_kernels
 from .discretisation import Motion, innovations, motion
-from .experiment_from_log import Experiment
-from .intersample_input import Hold
 from .noise_model import Filter, Noise, kalman_filter
 
 Array = NDArray[np.float64]

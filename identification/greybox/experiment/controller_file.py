@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...config.controller import ControllerConfig
-from ...model.controller import Controller
-from ...model.pid_and_state_space_controllers import (
+from ....config.controller import ControllerConfig
+from ....model.controller import Controller
+from ....model.pid_and_state_space_controllers import (
     PidLaw,
     PidLoop,
     StateSpaceLaw,

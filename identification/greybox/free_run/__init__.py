@@ -1,0 +1,1 @@
+"""Simulation without measured outputs, and the error that noise alone leaves of it."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from levid.benchmarks.trace.imported_plant_cases import PLANTS, Plant
-from levid.benchmarks.trace.imported_plant_simulation import Kind, Motion, simulated
+from levid.benchmarks.trace.imported_plant_simulation import Acting, Kind, Motion, simulated
 
 Array = NDArray[np.float64]
 
@@ -104,61 +105,97 @@ CASES = {
     ),
 }  # fmt: skip
 """Effects of each plant."""
+PAIRS = {
+    "drive": ("coulomb+cogging", "coulomb+saturation", "stribeck+drag", "cubic_actuator+coulomb"),
+    "geared": ("coulomb+gap", "coulomb+cogging"),
+    "pendulum": (
+        "gravity+coulomb",
+        "gravity+drag",
+        "cubic_stiffness+coulomb",
+        "gravity+loose_mass",
+    ),
+    "stage": ("coulomb+squared_actuator", "cubic_stiffness+drag", "dead_zone+drag", "stop+coulomb"),
+    "levitation": ("magnet+drag", "magnet+lag"),
+}
+"""Pairs of effects of each plant, each drawn by itself."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A plant with an effect, and how it moved.
+class Drawn(NamedTuple):
+    """An effect on a plant: its law, the places of a right report, its numbers as Kind has them,
+    and its size."""
 
-    where: places of a right report. numbers: of the effect, as Kind has them. size: what the
-    parameters leave of the effect's force, over the force of the inputs.
-    """
-
-    plant: Plant
     law: Law
     where: tuple[str, ...]
     numbers: Array
     size: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plant with effects, and how it moved."""
+
+    plant: Plant
+    effects: tuple[Drawn, ...]
     motion: Motion
 
+    @property
+    def listed(self) -> tuple[Drawn, ...]:
+        """The effects that a trace should name."""
+        return tuple(e for e in self.effects if e.law.right and e.law.listed)
 
-def case(plant_name: str, law_name: str, seed: int) -> Case:
-    """Draw a plant and the size of its effect, and simulate both."""
-    rng = np.random.default_rng([seed, list(PLANTS).index(plant_name), list(LAWS).index(law_name)])
-    plant, law = PLANTS[plant_name](rng), LAWS[law_name]
+
+def case(plant_name: str, law_names: str, seed: int) -> Case:
+    """Draw a plant, effects (names of LAWS joined by +) and their sizes, and simulate them."""
+    names, all_laws = law_names.split("+"), list(LAWS)
+    numbers_of_laws = [all_laws.index(name) for name in names]
+    rng = np.random.default_rng([seed, list(PLANTS).index(plant_name), *numbers_of_laws])
+    plant = PLANTS[plant_name](rng)
     still = np.zeros(len(plant.dof))
     noise_seed = int(rng.integers(1 << 32))
-
-    def flown(numbers: Array, noise: Array, place: int) -> Motion:
-        same = np.random.default_rng(noise_seed)
-        return simulated(plant.linear(noise), plant.v, same, law.kind, place, numbers)
-
-    plain = simulated(plant.linear(still), plant.v, rng, Kind.NONE, 0, np.zeros(1))
+    plain = simulated(plant.linear(still), plant.v, rng)
     if plant.reach is not None:
         ratio = plant.reach / plain.q[:, 0].std()
         plant = replace(plant, v=ratio * plant.v)
-        plain = simulated(plant.linear(still), plant.v, rng, Kind.NONE, 0, np.zeros(1))
+        plain = simulated(plant.linear(still), plant.v, rng)
     noise = plant.noise * plain.q.std(axis=0)
+
+    def flown(*acting: Acting) -> Motion:
+        same = np.random.default_rng(noise_seed)
+        return simulated(plant.linear(noise), plant.v, same, *acting)
+
+    drawn, acting = list[Drawn](), list[Acting]()
+    for name in names:
+        effect, place = _drawn(plant, plain, LAWS[name], rng, flown)
+        if effect is not None:
+            drawn.append(effect)
+            acting.append(Acting(effect.law.kind, place, effect.numbers))
+    return Case(plant, tuple(drawn), flown(*acting))
+
+
+def _drawn(
+    plant: Plant, plain: Motion, law: Law, rng: np.random.Generator, flown: Callable[..., Motion]
+) -> tuple[Drawn | None, int]:
+    """Return an effect of a drawn size by itself, None for none, and its place."""
     place = int(rng.integers(len(plant.inputs) if law.at_input else len(plant.dof)))
-    if plant_name == "geared":
+    if "motor" in plant.dof:
         place = int(law.kind == Kind.GAP)  # all others act on the motor
     names = list(plant.inputs if law.at_input else plant.dof)
     where = (names[place],) if law.kind != Kind.MAGNET else ("y", "i")
     numbers = _numbers(law.kind, plant, plain, place, rng)
-    force = float(np.linalg.norm(_acting(plant, plain, place)))
     if law.kind == Kind.NONE:
-        return Case(plant, law, (), numbers, 0.0, flown(numbers, noise, 0))
+        return None, place
+    force = float(np.linalg.norm(_acting(plant, plain, place)))
     wanted = float(np.exp(rng.uniform(*np.log(SIZES))))
 
     def sized(numbers: Array) -> float:
         with np.errstate(all="ignore"):
-            motion = flown(numbers, noise, place)
+            motion = flown(Acting(law.kind, place, numbers))
             return plant.unexplained(motion) / force if np.all(np.isfinite(motion.y)) else np.inf
 
     size = sized(numbers)
     if law.kind not in (Kind.SINE, Kind.MAGNET):
         numbers, size = _with_size(sized, wanted, numbers, _most(law.kind, plant, plain, place))
-    return Case(plant, law, where, numbers, size, flown(numbers, noise, place))
+    return Drawn(law, where, numbers, size), place
 
 
 def _with_size(

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numba import njit
@@ -79,16 +79,27 @@ class Motion:
     effect: Array
 
 
-def simulated(
-    plant: Linear, v: Array, rng: np.random.Generator, kind: Kind, place: int, numbers: Array
-) -> Motion:
-    """Return the motion for reference signals v (N, m) of a plant that starts at rest."""
+class Acting(NamedTuple):
+    """An effect: its kind, the DOF or input it acts at, and at most four numbers."""
+
+    kind: Kind
+    place: int
+    numbers: Array
+
+
+def simulated(plant: Linear, v: Array, rng: np.random.Generator, *effects: Acting) -> Motion:
+    """Return the motion for reference signals v (N, m) of a plant that starts at rest.
+
+    Effects of one input act in their order. One lag and one mass on a spring have a state.
+    """
     n = len(plant.M)
     noise = plant.noise * rng.normal(size=(len(v), n))
     arrays = (np.linalg.inv(plant.M), plant.D, plant.K, plant.B, plant.kp, plant.kd)
-    four = np.zeros(4)
-    four[: len(numbers)] = numbers
-    return Motion(*_integrated(v, noise, plant.Ts_s, plant.steps, arrays, int(kind), place, four))
+    four = np.zeros((len(effects), 4))
+    for row, effect in zip(four, effects, strict=True):
+        row[: len(effect.numbers)] = effect.numbers
+    kinds, places = (np.array([int(e[i]) for e in effects], np.int64) for i in (0, 1))
+    return Motion(*_integrated(v, noise, plant.Ts_s, plant.steps, arrays, kinds, places, four))
 
 
 def _on_dof(kind: int, s: Array, q: float, w: float) -> float:  # noqa: PLR0911 - numba has no match
@@ -146,8 +157,8 @@ _input_force = njit(_on_input)
 
 
 def _integrate(
-    v: Array, noise: Array, Ts_s: float, steps: int, arrays: tuple[Array, ...], kind: int,
-    place: int, s: Array,
+    v: Array, noise: Array, Ts_s: float, steps: int, arrays: tuple[Array, ...],
+    kinds: NDArray[np.int64], places: NDArray[np.int64], four: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array]:  # fmt: skip
     Minv, D, K, B, kp, kd = arrays
     rows, m, n, h = v.shape[0], v.shape[1], len(Minv), Ts_s / steps
@@ -166,26 +177,29 @@ def _integrate(
                 F[:] = u[row]
                 extra[:] = 0.0
                 pull = lag_rate = 0.0
-                if kind >= Kind.SQUARED and kind != Kind.MAGNET:
-                    at = min(place, n - 1)
-                    t_s = (row + (step + 0.5) / steps) * Ts_s
-                    F[place] = _input_force(kind, s, u[row, place], q_mid[at], w_mid[at], t_s)
-                    if kind == Kind.LAG:
-                        lag_rate = (u[row, place] - lag_mid) / s[0]
+                for e in range(len(kinds)):
+                    kind, place, s = kinds[e], places[e], four[e]
+                    if kind == Kind.MAGNET:
+                        i, gap = u[row, 0] / s[1], q_mid[0] / s[2]
+                        near = 1.0 - min(gap, 0.9)
+                        extra[0] += s[0] * ((1.0 + i) ** 2 / near**2 - 1.0 - 2.0 * i - 2.0 * gap)
+                    elif kind == Kind.LAG:
+                        lag_rate = (F[place] - lag_mid) / s[0]
                         F[place] = lag_mid
-                    elif kind == Kind.DELAY and step < round(s[0] / h):
-                        F[place] = before[place]
-                elif kind == Kind.MAGNET:
-                    i, gap = u[row, 0] / s[1], q_mid[0] / s[2]
-                    near = 1.0 - min(gap, 0.9)
-                    extra[0] = s[0] * ((1.0 + i) ** 2 / near**2 - 1.0 - 2.0 * i - 2.0 * gap)
-                elif kind == Kind.LOOSE_MASS:
-                    rate = 2.0 * np.pi * s[1]
-                    pull = rate * rate * (hung_mid - q_mid[place])
-                    pull += 2.0 * s[2] * rate * (hung_w_mid - w_mid[place])
-                    extra[place] = s[0] * pull
-                elif kind > 0:
-                    extra[place] = _dof_force(kind, s, q_mid[place], w_mid[place])
+                    elif kind == Kind.DELAY:
+                        if step < round(s[0] / h):
+                            F[place] = before[place]
+                    elif kind >= Kind.SQUARED:
+                        at = min(place, n - 1)
+                        t_s = (row + (step + 0.5) / steps) * Ts_s
+                        F[place] = _input_force(kind, s, F[place], q_mid[at], w_mid[at], t_s)
+                    elif kind == Kind.LOOSE_MASS:
+                        rate = 2.0 * np.pi * s[1]
+                        pull = rate * rate * (hung_mid - q_mid[place])
+                        pull += 2.0 * s[2] * rate * (hung_w_mid - w_mid[place])
+                        extra[place] += s[0] * pull
+                    elif kind > 0:
+                        extra[place] += _dof_force(kind, s, q_mid[place], w_mid[place])
                 a = Minv @ (B @ F - D @ w_mid - K @ q_mid + extra)
                 part = 0.5 * h if half == 0 else h
                 q_mid, w_mid = q + part * w_mid, w + part * a

@@ -5,11 +5,11 @@ with one of the effects of imported_plant_effects.py, of a size that leaves 3 to
 unexplained by a linear model. The declared models are linear; of every second seed the input gain
 is wrong too.
 
-A report is *right* if its class and place are those of the effect in the plant; *in a group* if
-only an alternative of an ambiguous report is. A *false name* is a known class of which no member is
-right; the trace may say that it is in doubt. Free forms (class `unknown`) are counted apart.
-Effects that are not in the table are right if no name is false. Intervals are counted only if the
-fitted model has the structure of the plant.
+A report is *right* if its class and place are those of an effect in the plant; *in a group* if only
+an alternative of an ambiguous report is. A plant with two effects is right if both are named. A
+*false name* is a known class of which no member is right; the trace may say that it is in doubt.
+Free forms (class `unknown`) are counted apart. Effects that are not in the table are right if no
+name is false. Intervals are counted only if the fitted model has the structure of the plant.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rich.table import Table
 
 from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.benchmarks.trace.imported_plant_cases import declared
-from levid.benchmarks.trace.imported_plant_effects import CASES, LAWS, Case, case
+from levid.benchmarks.trace.imported_plant_effects import CASES, LAWS, PAIRS, Case, Drawn, case
 from levid.benchmarks.trace.support_calibration import Statement, figures, statements
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.subspace.response_uncertainty import SURE_95
@@ -71,8 +71,7 @@ class Score:
     @property
     def good(self) -> bool:
         """Whether the name is right, alone or in a group, or none is false where none is right."""
-        wanted = LAWS[self.law].right and LAWS[self.law].listed
-        return not self.false_name and (not wanted or self.right or self.in_group)
+        return not self.false_name and (not is_listed(self.law) or self.right or self.in_group)
 
     def __str__(self) -> str:
         kinds = {"right": self.right, "in a group": self.in_group, "FALSE": self.false_name}
@@ -100,17 +99,25 @@ def scored(plant: str, law: str, seed: int, options: SearchOptions | None = None
     seconds = time.perf_counter() - start
     summary = force_trace_summary.force_summary(trace)
 
+    def is_one(effect: Drawn, one: Mapping[str, Any]) -> bool:
+        return one["class"] in effect.law.right and tuple(one["where"]) == effect.where
+
     def right(one: Mapping[str, Any]) -> bool:
-        return one["class"] in drawn.law.right and tuple(one["where"]) == drawn.where
+        return any(is_one(effect, one) for effect in drawn.effects)
 
     known = [e for e in summary["effects"] if e["class"] != "unknown"]
     alone = [right(e) for e in known]
     grouped = [any(map(right, e["alternatives"])) for e in known]
     false = [e for e, a, g in zip(known, alone, grouped, strict=True) if not (a or g)]
+    there = drawn.listed or drawn.effects
+    named = [any(is_one(effect, e) for e in known) for effect in there]
+    among = [any(is_one(effect, a) for e in known for a in e["alternatives"]) for effect in there]
+    either = [a or b for a, b in zip(named, among, strict=True)]
     doubted = [e["evidence"]["doubtful"] for e in known]
     force = summary["validation"]["force_percent"]
     return Score(
-        plant, law, seed, drawn.size, any(alone), any(grouped) and not any(alone), bool(false),
+        plant, law, seed, max((e.size for e in drawn.effects), default=0.0),
+        bool(there) and all(named), bool(there) and all(either) and not all(named), bool(false),
         len(known) < len(summary["effects"]), (force["before"], force["after"]), seconds,
         tuple(intervals(trace, drawn, ratio)), tuple(statements(summary, right)),
         "; ".join(f"{e['name']} {' '.join(e['where'])}" for e in summary["effects"]) or "nothing",
@@ -121,17 +128,19 @@ def scored(plant: str, law: str, seed: int, options: SearchOptions | None = None
 def intervals(trace: ForceTrace, drawn: Case, ratio: float) -> Iterator[tuple[bool, float]]:
     """Yield for each number whether its interval has the truth, and the interval's half width over
     the true number; nothing if the model's effects are not those of the plant."""
-    law = drawn.law
-    identity = f"{law.effect}@{'+'.join(drawn.where)}" if law.effect else ""
-    structure = [identity] if identity else []
-    found = [p.effect.identity for p in trace.found.point.placed]
-    if found != structure or (law.right and not identity):
+    structure = sorted(
+        f"{e.law.effect}@{'+'.join(e.where)}" if e.law.effect else "" for e in drawn.effects
+    )
+    if sorted(p.effect.identity for p in trace.found.point.placed) != structure:
         return
     model = force_trace_summary.model_with_effects(trace)
     told = {key: (p.value, p.se) for key, p in model.parameters.items()}
     truth = {name: ratio * value for name, (value, _) in drawn.plant.parameters.items()}
-    told |= {key: (p.value, p.se) for e in model.effects for key, p in e.parameters.items()}
-    truth |= law.truth(drawn.numbers, ratio)
+    for effect in model.effects:
+        told |= {f"{effect.effect} {key}": (p.value, p.se) for key, p in effect.parameters.items()}
+    for e in drawn.effects:
+        own = e.law.truth(e.numbers, ratio)
+        truth |= {f"{e.law.effect} {key}": value for key, value in own.items()}
     for key, value in truth.items():
         estimate, se = told[key]
         if se is not None:
@@ -157,9 +166,9 @@ COLUMNS = (
 
 def figures_of(scores: Sequence[Score]) -> Iterator[Figure]:
     """Yield the figures of all plants."""
-    listed = [s for s in scores if LAWS[s.law].right and LAWS[s.law].listed]
+    listed = [s for s in scores if is_listed(s.law)]
     plain = [s for s in scores if s.law == "none"]
-    unlisted = [s for s in scores if not LAWS[s.law].listed]
+    unlisted = [s for s in scores if not is_listed(s.law) and s.law != "none"]
 
     def share(key: str, those: Sequence[bool], label: str, target: Target | None) -> Figure:
         percent = 100.0 * sum(those) / len(those) if those else None
@@ -183,7 +192,7 @@ def figures_of(scores: Sequence[Score]) -> Iterator[Figure]:
     )
     yield Figure("sure_and_false", sum(s.sure_and_false for s in scores), "",
                  "of these not said to be in doubt", target=Target(most=0.0))  # fmt: skip
-    doubtful = [s.doubtful for s in scores if (s.right or s.in_group) and LAWS[s.law].listed]
+    doubtful = [s.doubtful for s in scores if (s.right or s.in_group) and is_listed(s.law)]
     yield share(
         "right_in_doubt_percent", doubtful, "right names that are said to be in doubt", None
     )
@@ -196,11 +205,17 @@ def figures_of(scores: Sequence[Score]) -> Iterator[Figure]:
     yield from figures([one for s in scores for one in s.told])
 
 
+def is_listed(law: str) -> bool:
+    """Return whether the table has what plants of a law, or of a pair, should be traced to."""
+    return any(LAWS[name].right and LAWS[name].listed for name in law.split("+"))
+
+
 def jobs(
     plants: Sequence[str], laws: Sequence[str], first: int, seeds: int
 ) -> list[tuple[str, str, int]]:
     """Return plant, law and seed of each trace."""
-    chosen = [(p, law) for p, some in CASES.items() for law in some if p in plants and law in laws]
+    every = {p: (*CASES[p], *PAIRS[p]) for p in plants}
+    chosen = [(p, law) for p, some in every.items() for law in some if law in laws]
     return [(p, law, first + i) for i in range(seeds) for p, law in chosen]
 
 
@@ -209,7 +224,9 @@ def main() -> None:
     options.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help="of each case")
     options.add_argument("--first-seed", type=int, default=FIRST_SEED, metavar="N")
     options.add_argument("--plants", nargs="+", default=(*CASES,), choices=CASES, metavar="PLANT")
-    options.add_argument("--laws", nargs="+", default=(*LAWS,), choices=LAWS, metavar="LAW")
+    pairs = dict.fromkeys(pair for some in PAIRS.values() for pair in some)
+    laws = (*LAWS, *pairs)
+    options.add_argument("--laws", nargs="+", default=laws, choices=laws, metavar="LAW")
     arguments = options.parse_args()
     seeds = QUICK if arguments.quick else arguments.seeds
     todo = jobs(arguments.plants, arguments.laws, arguments.first_seed, seeds)
@@ -221,7 +238,7 @@ def main() -> None:
             for score in pool.map(scored, *zip(*todo, strict=True)):
                 scores.append(score)
                 print(f"{len(scores)}/{len(todo)} {score}", file=sys.stderr, flush=True)
-        for law in LAWS:
+        for law in laws:
             if some := [s for s in scores if s.law == law]:
                 table.add_row(law, *_row(some))
         yield from figures_of(scores)

@@ -11,7 +11,7 @@ from scipy.signal import StateSpace, lsim
 
 from levid.benchmarks.trace.imported_plant_cases import PLANTS, declared
 from levid.benchmarks.trace.imported_plant_effects import CASES, LAWS, SIZES, case
-from levid.benchmarks.trace.imported_plant_simulation import Kind, Linear, simulated
+from levid.benchmarks.trace.imported_plant_simulation import Acting, Kind, Linear, simulated
 from levid.identification.trace.records.record_from_log import imported_places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
@@ -27,7 +27,7 @@ def spring_mass(Ts_s: float = 0.01) -> Linear:
 
 def test_a_linear_plant_moves_as_its_exact_discretisation() -> None:
     v = np.random.default_rng(0).normal(size=(400, 1))
-    motion = simulated(spring_mass(), v, np.random.default_rng(1), Kind.NONE, 0, np.zeros(1))
+    motion = simulated(spring_mass(), v, np.random.default_rng(1))
     A, B = np.array([[0.0, 1.0], [-100.0, -1.5]]), np.array([[0.0], [0.5]])
     system = StateSpace(A, B, np.array([[1.0, 0.0]]), np.zeros((1, 1)))
     _, y, _ = lsim(system, v[:, 0], 0.01 * np.arange(400), interp=False)
@@ -42,7 +42,7 @@ def test_dry_friction_stops_a_mass_after_a_known_way() -> None:
     v = np.zeros((3500, 1))
     v[:1000] = 3.0
     numbers = np.array([1.0, 1e-4])
-    motion = simulated(free, v, np.random.default_rng(0), Kind.COULOMB, 0, numbers)
+    motion = simulated(free, v, np.random.default_rng(0), Acting(Kind.COULOMB, 0, numbers))
     # 2 m/s^2 for 1 s, then -1 m/s^2 from 2 m/s: 1 m and 2 m.
     assert motion.q[-1, 0] == pytest.approx(3.0, abs=3e-3)
     assert abs(motion.w[-1, 0]) < 1e-6
@@ -61,7 +61,8 @@ def test_an_actuator_gives_the_force_of_its_characteristic(
     kind: Kind, numbers: list[float], commands: list[float], forces: list[float]
 ) -> None:
     v = np.array(commands)[:, None]
-    motion = simulated(spring_mass(), v, np.random.default_rng(0), kind, 0, np.array(numbers))
+    acting = Acting(kind, 0, np.array(numbers))
+    motion = simulated(spring_mass(), v, np.random.default_rng(0), acting)
     np.testing.assert_allclose(motion.effect[:, 0] + v[:, 0], forces, atol=1e-12)
 
 
@@ -69,7 +70,12 @@ QUICKEST = ("pendulum", "levitation", "stage", "drive", "geared")
 
 
 @pytest.mark.parametrize(
-    ("plant", "law"), [(next(p for p in QUICKEST if law in CASES[p]), law) for law in LAWS]
+    ("plant", "law"),
+    [
+        *((next(p for p in QUICKEST if law in CASES[p]), law) for law in LAWS),
+        ("pendulum", "gravity+coulomb"),
+        ("stage", "coulomb+squared_actuator"),
+    ],
 )
 def test_forces_and_motion_of_a_case_balance(plant: str, law: str) -> None:
     drawn = case(plant, law, 900_000)
@@ -80,8 +86,9 @@ def test_forces_and_motion_of_a_case_balance(plant: str, law: str) -> None:
     # Means of position and speed over a step are those of its ends, of which the rule takes the
     # middle: an error of the order (h d / m)^2, 0.6 % for a pendulum in a drag that stops it.
     assert np.all(left.std(axis=0) < 1e-2 * (inertia.std(axis=0) + rest.std(axis=0)))
-    if LAWS[law].kind not in (Kind.NONE, Kind.SINE, Kind.MAGNET):
-        assert 0.2 * SIZES[0] < drawn.size < 1.5 * SIZES[1]
+    for effect in drawn.effects:
+        if effect.law.kind not in (Kind.SINE, Kind.MAGNET):
+            assert 0.2 * SIZES[0] < effect.size < 1.5 * SIZES[1]
 
 
 def test_right_names_are_in_the_table_of_the_declared_model() -> None:

@@ -19,15 +19,12 @@ class SearchOptions:
     which fits a little of everything.
 
     accuracy: relative error of an equation that is right, from which follow `inexact`, `alike`,
-    `visible` and `least_force`. law_accuracy: the same of a law of friction that stands for another
-    one, such as eight slip elements for twenty.
+    `visible`, `least_force` and `told_from_model`. law_accuracy: the same of a law of friction that
+    stands for another one, such as eight slip elements for twenty.
 
     explained, much_left: RMS errors over those of noise alone below which records are explained,
     and above which free forms are asked; also the ratio at which a fit with weights is worse than
     one without.
-
-    told_from_model: share of an effect's squared force that must remain beside the model's own
-    parameters and the scale of all actuators; the rest is a change of these.
 
     blocks: blocks of time of imported records, by whose scatter an effect is judged. Fewer make the
     scatter uncertain, more make the blocks shorter than what an effect needs to show.
@@ -47,7 +44,6 @@ class SearchOptions:
     law_accuracy: float = 0.05
     explained: float = 1.03
     much_left: float = 1.3
-    told_from_model: float = 1e-3
     blocks: int = 24
     fewest_blocks: int = 8
     reported: float = 0.25
@@ -73,6 +69,15 @@ class SearchOptions:
     def inexact(self) -> float:
         """Share of the squared errors that an equation leaves of those it takes."""
         return self.accuracy**2
+
+    @property
+    def told_from_model(self) -> float:
+        """Share of an effect's squared force that must remain beside the model's own parameters and
+        the scale of all actuators; the rest is a change of these.
+
+        With less, what tells the effect from them is smaller than the error of its equation.
+        """
+        return self.inexact
 
     @property
     def another_law(self) -> float:

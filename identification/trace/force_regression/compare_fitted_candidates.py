@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ....model.effects.base import Placed
 from ..search_options import SearchOptions
 from .force_record import ForceModel
-from .held_out_gain import Blocks, block_sums, bounded, error_of_mean
+from .held_out_gain import Blocks, Columns, block_sums, bounded, error_of_mean
 from .rated_candidate import Rated, confirmed, missing_after
 from .training_records import Training
 
@@ -36,23 +37,23 @@ def fitted_rivals(
     fitted = list[_Fitted]()
     for rated in rivals:  # best first: most others soon prove to stay behind
         least = min((f.cost for f in fitted), default=0.0)
-        fitted.append(_Fitted.of(beside, rated, training, least))
+        fitted.append(_Fitted.of(beside, rated, training, least, options))
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
-    alike.sort(key=lambda f: f.rated.numbers)
+    alike.sort(key=lambda f: f.numbers)
     support = _support(fitted, ranking, options)
     named = [replace(f.rated, support=support(f.rated)) for f in alike]
     contenders = tuple(r.placed.effect for r in ranking)
-    others = tuple(r for r in named[1:] if not _richer(r, named[0]))
+    others = tuple(r for r, f in zip(named[1:], alike[1:], strict=True) if not _richer(f, alike[0]))
     best = replace(named[0], alternatives=others, contenders=contenders)
     rest = [f for f in fitted if f is not alike[0]]
     told = [replace(f.rated, support=support(f.rated), contenders=contenders) for f in rest]
     return [(best, alike[0].point), *zip(told, (f.point for f in rest), strict=True)]
 
 
-def _richer(one: Rated, other: Rated) -> bool:
+def _richer(one: _Fitted, other: _Fitted) -> bool:
     """Return whether one has more numbers at the same place."""
-    same = one.placed.effect.where == other.placed.effect.where
+    same = one.rated.placed.effect.where == other.rated.placed.effect.where
     return same and one.numbers > other.numbers
 
 
@@ -61,7 +62,9 @@ class _Fitted:
     """A candidate where the fit of the whole model with it ends.
 
     errors (B,): squared error of each block by the fit of all others, with the candidate's shape
-    held. left: what remains of the weighed missing force of each record (rows, n).
+    held. left: what remains of the weighed missing force of each record (rows, n). numbers: of the
+    candidate, without amplitudes that the blocks do not ask for: where a weight hangs in the zero
+    of the angle, its law has one.
     """
 
     rated: Rated
@@ -69,9 +72,17 @@ class _Fitted:
     cost: float
     errors: Array
     left: tuple[Array, ...]
+    numbers: int
 
     @classmethod
-    def of(cls, beside: ForceModel, rated: Rated, training: Training, least: float) -> _Fitted:
+    def of(
+        cls,
+        beside: ForceModel,
+        rated: Rated,
+        training: Training,
+        least: float,
+        options: SearchOptions,
+    ) -> _Fitted:
         """Fit the model with a candidate; not to the end if it stays far above the least cost."""
         point = training.fit(replace(beside, placed=(*beside.placed, rated.placed)), least)
         at = training.at(point)
@@ -83,7 +94,27 @@ class _Fitted:
         kept = len(columns[0]) - len(last.placed.shape)
         held = judged.only(range(kept))
         left = missing_after(held.coefficients(), [c[:kept] for c in columns], at.missing)
-        return cls(last, point, training.cost(point), held.left_out_errors(), tuple(left))
+        numbers = last.numbers - _idle_amplitudes(held, last.placed, options)
+        cost, errors = training.cost(point), held.left_out_errors()
+        return cls(last, point, cost, errors, tuple(left), numbers)
+
+
+def _idle_amplitudes(held: Columns, placed: Placed, options: SearchOptions) -> int:
+    """Return how many amplitudes of an effect could be zero, each by itself, all but one at most.
+
+    held: columns of the model, of which the last are the amplitudes.
+    """
+    with_all, count = held.left_out_errors(), len(held.prior) - 1
+    first, idle = count - len(placed.amplitudes), 0
+    for i, amplitude in enumerate(placed.amplitudes, start=first):
+        take = np.eye(count + 1)
+        take[i, -1] = amplitude
+        back = Columns(take.T @ held.grams @ take, take.T @ held.power @ take, held.prior)
+        less = back.only([k for k in range(count) if k != i])
+        lost = less.left_out_errors() - with_all
+        size = amplitude**2 * held.grams[..., i, i].sum(axis=1)
+        idle += lost.mean() < options.standard_errors * error_of_mean(lost, size)
+    return min(idle, len(placed.amplitudes) - 1)
 
 
 def _worse(one: _Fitted, best: _Fitted, blocks: Blocks, options: SearchOptions) -> bool:

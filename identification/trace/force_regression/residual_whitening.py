@@ -32,12 +32,17 @@ class Whitening:
     cutoff_hz: float
     _weights: dict[tuple[int, float], Array] = field(default_factory=dict, repr=False)
 
+    @property
+    def flat(self) -> bool:
+        """Whether all frequencies have one weight."""
+        return bool(np.all(self.density == self.density[0]))
+
     def apply(self, values: Array, row_s: float) -> Array:
         """Return signals (..., rows, n) with the spectrum divided by the residual's, no phase.
 
         The residual's sum of squares is then about the number of independent rows in the band.
         """
-        if np.all(self.density == self.density[0]):
+        if self.flat:
             return np.asarray(values * np.sqrt(2.0 * row_s / self.density[0]))
         rows = values.shape[-2]
         memory_s = 1.0 / float(self.freq_hz[1] - self.freq_hz[0])  # of weights of this resolution

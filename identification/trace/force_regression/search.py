@@ -23,6 +23,8 @@ from .training_records import Training, missing_share
 
 Progress = Callable[[str, float], None]
 
+_ALIKE = 1.1
+"""Ratio of the squared errors of two models below which they are one way to go on."""
 _ONE_LAW = "friction"
 """Class of which a DOF has one law."""
 
@@ -46,20 +48,9 @@ def search(
     progress: Progress,
 ) -> Searched:
     """Add effects to a fitted model until none is confirmed; free forms where no named one is."""
-    state = _State(point, {}, ())
-    nearest: list[Rated] = []
-    for number in range(1, options.most_effects + 1):
-        progress(f"search, effect {number}", 0.1 + 0.1 * number)
-        nearest = _ranking(state, named, training, options)
-        after = _with_best(state, nearest, training, options)
-        if after is None:
-            ranking = _ranking(state, free_forms, training, options)
-            other = [r for r in ranking if not described_laws(r.placed, state.point, training)]
-            after = _with_best(state, other, training, options)
-            nearest = sorted([*nearest, *ranking], key=by_gain)
-        if after is None:
-            break
-        state = _without_idle(after, training, options)
+    state, _ = _grown(_State(point, {}, ()), named, (), training, options, progress)
+    state = _otherwise(state, named, training, options, progress)
+    state, nearest = _grown(state, named, free_forms, training, options, progress)
     progress("comparing rivals", 0.8)
     state = _against_rivals(state, training, options)
     last = {p.effect.identity: p for p in state.point.placed}
@@ -71,11 +62,68 @@ def search(
 
 @dataclass(frozen=True)
 class _State:
-    """The model so far, the ratings of its found effects by identity, and dropped ones."""
+    """The model so far, the ratings of its found effects by identity, and dropped ones.
+
+    turnings: other models that each choice could have led to, best first.
+    """
 
     point: ForceModel
     rated: dict[str, Rated]
     dropped: tuple[str, ...]
+    turnings: tuple[tuple[_State, ...], ...] = ()
+
+
+def _grown(
+    state: _State,
+    named: Sequence[Effect],
+    free_forms: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+    progress: Progress,
+) -> tuple[_State, list[Rated]]:
+    """Return the state with effects added, and the candidates of the last round."""
+    nearest: list[Rated] = []
+    while len(state.rated) < options.most_effects:
+        number = len(state.rated) + 1
+        progress(f"search, effect {number}", 0.1 + 0.1 * number)
+        nearest = _ranking(state, named, training, options)
+        after = _with_best(state, nearest, training, options)
+        if after is None and free_forms:
+            ranking = _ranking(state, free_forms, training, options)
+            other = [r for r in ranking if not described_laws(r.placed, state.point, training)]
+            after = _with_best(state, other, training, options)
+            nearest = sorted([*nearest, *ranking], key=by_gain)
+        if after is None:
+            break
+        state = _without_idle(after, training, options)
+    return state, nearest
+
+
+def _otherwise(
+    state: _State,
+    named: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+    progress: Progress,
+) -> _State:
+    """Return a state that another choice led to, if the first ones left much and this one does not.
+
+    Effects are taken one by one, and what looks most like two of them together bars the way to
+    both: of dry friction and an actuator whose force grows faster than its command it is a friction
+    that is elastic before it slips. A way counts if it leaves half of what is left.
+    """
+    expected = training.expected
+    left = training.cost(state.point) - expected
+    ways = [way for turning in state.turnings for way in turning]
+    for way in ways[: options.patience]:
+        if not left > (options.much_left**2 - 1.0) * expected:
+            break
+        begun = replace(way, point=training.fit(way.point))
+        other, _ = _grown(begun, named, (), training, options, progress)
+        excess = training.cost(other.point) - expected
+        if excess < 0.5 * left:
+            state, left = other, excess
+    return state
 
 
 def _ranking(
@@ -102,7 +150,8 @@ def _with_best(
         return None
     kept = tuple(p for p in state.point.placed if p is not first.instead_of)
     beside = replace(state.point, placed=kept)
-    for chosen, stayed in fitted_rivals(beside, first, ranking, training, options):
+    rivals = fitted_rivals(beside, first, ranking, training, options)
+    for chosen, stayed in rivals:
         point = training.fit(stayed)  # of a rival that stayed behind, it ended early
         lowered = before - missing_share(plain.at(point))
         if lowered.max() > options.least_force:
@@ -111,9 +160,35 @@ def _with_best(
                 for key, r in state.rated.items()
                 if first.instead_of is None or key != first.instead_of.effect.identity
             }
+            others = _unlike(state, [r for r in rivals if r[0] is not chosen], rated, training)
             rated[chosen.placed.effect.identity] = chosen
-            return _State(point, rated, state.dropped)
+            return _State(point, rated, state.dropped, (*state.turnings, others))
     return None
+
+
+def _unlike(
+    state: _State,
+    rivals: Sequence[tuple[Rated, ForceModel]],
+    rated: dict[str, Rated],
+    training: Training,
+) -> tuple[_State, ...]:
+    """Return the states that rivals lead to, one for all that leave about the same.
+
+    That is the one with the fewest numbers.
+    """
+    costs = {r.placed.effect.identity: training.cost(point) for r, point in rivals}
+    groups: list[list[tuple[Rated, ForceModel]]] = []
+    for one in sorted(rivals, key=lambda r: costs[r[0].placed.effect.identity]):
+        first = costs[groups[-1][0][0].placed.effect.identity] if groups else 0.0
+        if costs[one[0].placed.effect.identity] > _ALIKE * first:
+            groups.append([])
+        groups[-1].append(one)
+    found = []
+    for group in groups:
+        rival, point = min(group, key=lambda r: r[0].numbers)
+        own = {**rated, rival.placed.effect.identity: rival}
+        found.append(_State(point, own, state.dropped, state.turnings))
+    return tuple(found)
 
 
 def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
@@ -152,7 +227,7 @@ def _removed(state: _State, placed: Placed, training: Training) -> _State:
     rated = {k: r for k, r in state.rated.items() if k != identity}
     kept = tuple(p for p in state.point.placed if p is not placed)
     point = training.fit(replace(state.point, placed=kept))
-    return _State(point, rated, (*state.dropped, identity))
+    return _State(point, rated, (*state.dropped, identity), state.turnings)
 
 
 def _against_rivals(state: _State, training: Training, options: SearchOptions) -> _State:

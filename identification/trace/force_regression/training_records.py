@@ -296,6 +296,15 @@ class Training:
             np.sum([np.sum(g * g * self.scale[:, None], axis=(0, 1)) for g in groups], axis=0)
         )
 
+    @property
+    def expected(self) -> float:
+        """Sum of squares of a model that leaves what the weights are made of: the number of
+        independent rows; nan for weights that are flat, and of no unit."""
+        if self.whitening.flat:
+            return float("nan")
+        rows = sum(2.0 * r.rows * r.band.row_s for r in self.records)
+        return float(rows * self.whitening.cutoff_hz * self.records[0].kept[0].shape[1])
+
     def cost(self, point: ForceModel) -> float:
         """Return the sum of squares of the missing force, and of the parameters' priors."""
         rows = point.parameters.prior_rows(point.values)

@@ -25,8 +25,7 @@ Progress = Callable[[str, float], None]
 
 _ALIKE = 1.1
 """Ratio of the squared errors of two models below which they are one way to go on."""
-_ONE_LAW = "friction"
-"""Class of which a DOF has one law."""
+_FRICTION, _PLAY = "friction", "backlash.play"
 
 
 @dataclass(frozen=True)
@@ -110,19 +109,22 @@ def _otherwise(
 
     Effects are taken one by one, and what looks most like two of them together bars the way to
     both: of dry friction and an actuator whose force grows faster than its command it is a friction
-    that is elastic before it slips. A way counts if it leaves half of what is left.
+    that is elastic before it slips. A way may have one effect more.
     """
-    expected = training.expected
-    left = training.cost(state.point) - expected
+    most = options.much_left**2 * training.expected
     ways = [way for turning in state.turnings for way in turning]
+    if not training.cost(state.point) > most:
+        return state
+    fewer = replace(
+        options,
+        most_effects=min(len(state.rated) + 1, options.most_effects),
+        fitted=options.patience,  # of a way that leads far, the next step stands out
+    )
     for way in ways[: options.patience]:
-        if not left > (options.much_left**2 - 1.0) * expected:
-            break
         begun = replace(way, point=training.fit(way.point))
-        other, _ = _grown(begun, named, (), training, options, progress)
-        excess = training.cost(other.point) - expected
-        if excess < 0.5 * left:
-            state, left = other, excess
+        other, _ = _grown(begun, named, (), training, fewer, progress)
+        if training.cost(other.point) < most:
+            return other
     return state
 
 
@@ -133,8 +135,8 @@ def _ranking(
     fresh = [e for e in table if e.identity not in state.dropped]
     ranking = rate(point, _new(fresh, point.placed), training, options)
     for p in point.placed:
-        if p.effect.effect_class == _ONE_LAW:
-            same = [e for e in fresh if e.effect_class == _ONE_LAW and e.where == p.effect.where]
+        if _rubs(p.effect):
+            same = [e for e in fresh if _rubs(e) and e.where == p.effect.where]
             ranking += rate(point, same, training, options, p)
     return sorted(ranking, key=by_gain)
 
@@ -194,9 +196,17 @@ def _unlike(
 def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
     """Return the effects of a table that may act beside those of a model."""
     known = {p.effect.identity for p in placed}
-    rubbed = {w for p in placed if p.effect.effect_class == _ONE_LAW for w in p.effect.where}
+    rubbed = {w for p in placed if _rubs(p.effect) for w in p.effect.where}
     fresh = [e for e in table if e.identity not in known]
-    return [e for e in fresh if e.effect_class != _ONE_LAW or not rubbed.intersection(e.where)]
+    return [e for e in fresh if not _rubs(e) or not rubbed.intersection(e.where)]
+
+
+def _rubs(effect: Effect) -> bool:
+    """Return whether an effect is a dry friction, of which a DOF has one law.
+
+    A spring that is dragged along is one too: the force of a Maxwell-slip element.
+    """
+    return effect.effect_class == _FRICTION or effect.key == _PLAY
 
 
 def _without_idle(state: _State, training: Training, options: SearchOptions) -> _State:

@@ -50,3 +50,17 @@ def test_a_free_form_does_not_share_out_what_a_law_describes() -> None:
     found = scored("pendulum", "drag_15", 700_000)
     assert found.right
     assert not found.free_form
+
+
+def test_gravity_of_a_small_swing_is_not_told_from_a_cubic_stiffness() -> None:
+    found = scored("pendulum", "gravity", 750_001)
+    assert found.in_group
+    assert not found.false_name
+
+
+def test_two_effects_that_look_like_a_third_one_are_found() -> None:
+    # Friction, and a force that grows faster than its command: together an elastic friction.
+    found = scored("drive", "cubic_actuator+coulomb", 750_001)
+    assert found.right
+    assert not found.false_name
+    assert found.force[1] < 1.0

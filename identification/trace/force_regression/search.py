@@ -24,7 +24,7 @@ from .training_records import Training, missing_share
 Progress = Callable[[str, float], None]
 
 _ALIKE = 1.1
-"""Ratio of the squared errors of two models below which they are one way to go on."""
+"""Ratio of the squared errors of two models below which they are one choice."""
 _FRICTION, _PLAY = "friction", "backlash.play"
 
 
@@ -48,7 +48,7 @@ def search(
 ) -> Searched:
     """Add effects to a fitted model until none is confirmed; free forms where no named one is."""
     state, _ = _grown(_State(point, {}, ()), named, (), training, options, progress)
-    state = _otherwise(state, named, training, options, progress)
+    state = _with_another_choice(state, named, training, options, progress)
     state, nearest = _grown(state, named, free_forms, training, options, progress)
     progress("comparing rivals", 0.8)
     state = _against_rivals(state, training, options)
@@ -63,13 +63,13 @@ def search(
 class _State:
     """The model so far, the ratings of its found effects by identity, and dropped ones.
 
-    turnings: other models that each choice could have led to, best first.
+    not_taken: for each effect that was added, the states with another one in its place, best first.
     """
 
     point: ForceModel
     rated: dict[str, Rated]
     dropped: tuple[str, ...]
-    turnings: tuple[tuple[_State, ...], ...] = ()
+    not_taken: tuple[tuple[_State, ...], ...] = ()
 
 
 def _grown(
@@ -98,31 +98,31 @@ def _grown(
     return state, nearest
 
 
-def _otherwise(
+def _with_another_choice(
     state: _State,
     named: Sequence[Effect],
     training: Training,
     options: SearchOptions,
     progress: Progress,
 ) -> _State:
-    """Return a state that another choice led to, if the first ones left much and this one does not.
+    """Return the state that another choice led to, if the choices left much and this does not.
 
     Effects are taken one by one, and what looks most like two of them together bars the way to
     both: of dry friction and an actuator whose force grows faster than its command it is a friction
-    that is elastic before it slips. A way may have one effect more.
+    that is elastic before it slips. It may have one effect more.
     """
     most = options.much_left**2 * training.expected
-    ways = [way for turning in state.turnings for way in turning]
+    others = [other for some in state.not_taken for other in some]
     if not training.cost(state.point) > most:
         return state
     fewer = replace(
         options,
         most_effects=min(len(state.rated) + 1, options.most_effects),
-        fitted=options.patience,  # of a way that leads far, the next step stands out
+        fitted=options.patience,  # of a choice that leads far, the next effect stands out
     )
-    for way in ways[: options.patience]:
-        begun = replace(way, point=training.fit(way.point))
-        other, _ = _grown(begun, named, (), training, fewer, progress)
+    for chosen in others[: options.patience]:
+        begin = replace(chosen, point=training.fit(chosen.point))
+        other, _ = _grown(begin, named, (), training, fewer, progress)
         if training.cost(other.point) < most:
             return other
     return state
@@ -162,34 +162,35 @@ def _with_best(
                 for key, r in state.rated.items()
                 if first.instead_of is None or key != first.instead_of.effect.identity
             }
-            others = _unlike(state, [r for r in rivals if r[0] is not chosen], rated, training)
+            others = _distinct_choices(state, rivals, rated, training, training.cost(point))
             rated[chosen.placed.effect.identity] = chosen
-            return _State(point, rated, state.dropped, (*state.turnings, others))
+            return _State(point, rated, state.dropped, (*state.not_taken, others))
     return None
 
 
-def _unlike(
+def _distinct_choices(
     state: _State,
     rivals: Sequence[tuple[Rated, ForceModel]],
     rated: dict[str, Rated],
     training: Training,
+    taken: float,
 ) -> tuple[_State, ...]:
-    """Return the states that rivals lead to, one for all that leave about the same.
+    """Return the states that rivals lead to, best first; one for all that leave about the same.
 
-    That is the one with the fewest numbers.
+    That is the one with the fewest numbers. Those that leave as much as what was taken (`taken`)
+    are left out: they are the same choice.
     """
-    costs = {r.placed.effect.identity: training.cost(point) for r, point in rivals}
-    groups: list[list[tuple[Rated, ForceModel]]] = []
-    for one in sorted(rivals, key=lambda r: costs[r[0].placed.effect.identity]):
-        first = costs[groups[-1][0][0].placed.effect.identity] if groups else 0.0
-        if costs[one[0].placed.effect.identity] > _ALIKE * first:
-            groups.append([])
-        groups[-1].append(one)
+    groups: list[tuple[float, list[tuple[Rated, ForceModel]]]] = [(taken, [])]
+    costs = sorted((training.cost(point), i) for i, (_, point) in enumerate(rivals))
+    for cost, i in costs:
+        if cost > _ALIKE * groups[-1][0]:
+            groups.append((cost, []))
+        groups[-1][1].append(rivals[i])
     found = []
-    for group in groups:
+    for _, group in groups[1:]:
         rival, point = min(group, key=lambda r: r[0].numbers)
         own = {**rated, rival.placed.effect.identity: rival}
-        found.append(_State(point, own, state.dropped, state.turnings))
+        found.append(_State(point, own, state.dropped, state.not_taken))
     return tuple(found)
 
 
@@ -237,7 +238,7 @@ def _removed(state: _State, placed: Placed, training: Training) -> _State:
     rated = {k: r for k, r in state.rated.items() if k != identity}
     kept = tuple(p for p in state.point.placed if p is not placed)
     point = training.fit(replace(state.point, placed=kept))
-    return _State(point, rated, (*state.dropped, identity), state.turnings)
+    return _State(point, rated, (*state.dropped, identity), state.not_taken)
 
 
 def _against_rivals(state: _State, training: Training, options: SearchOptions) -> _State:

@@ -15,8 +15,7 @@ _BLOCK_S = 2.0
 def loads_of(records: Sequence[TraceRecord]) -> Loads:
     """Return mean squares of the coil commands over a session, in blocks of 2 s.
 
-    Between records, the load is that at the begin of the next one: a session moves the beam at once
-    and then settles there.
+    Between records, the first half of the time has the load before, the second half the load after.
     """
     times: list[float] = []
     squares: list[tuple[float, ...]] = []
@@ -24,8 +23,9 @@ def loads_of(records: Sequence[TraceRecord]) -> Loads:
     for record in sorted(records, key=lambda r: float(r.time_s[0])):
         rows = max(round(_BLOCK_S / record.experiment.Ts_s), 1)
         for first in range(0, record.rows, rows):
-            since_last = first == 0 and np.isfinite(end_s)
-            times.append(end_s if since_last else float(record.time_s[first]))
+            begin_s = float(record.time_s[first])
+            between = first == 0 and np.isfinite(end_s)
+            times.append(0.5 * (begin_s + end_s) if between else begin_s)
             command = record.coil[first : first + rows]
             squares.append(tuple(np.mean(command * command, axis=0).tolist()))
         end_s = float(record.time_s[-1])

@@ -147,20 +147,12 @@ def _law(law: FoundLaw) -> list[str]:
     if law.doubtful:
         left = f"{100 * law.left_share:.2g} %"
         lines.append(f"    in doubt: with it, {left} of the squared missing force is left")
-    if law.curve is not None:
-        curve = _uncapitalised(law.curve.placed.effect.title)
-        lines.append(
-            f"    not exact: a {curve} in a way that no law has would take "
-            f"{100 * law.curve.share:.2g} % of what is left"
-        )
+    if law.inexact:
+        lines.append(f"    not exact: {law.inexact}")
     if law.laws:
         names = ", ".join(r.placed.effect.title for r in law.laws)
         lines.append(f"    other laws of it fit as well: {names}")
     return lines
-
-
-def _uncapitalised(title: str) -> str:
-    return f"{title[0].lower()}{title[1:]}"
 
 
 def _values(parameters: Mapping[str, EffectParameter]) -> str:

@@ -71,12 +71,7 @@ def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
             )
         if law.curve is not None and law.curve is not told:
             told = law.curve
-            curve = law.curve.placed.effect.title
-            text += (
-                f" Its equation is not exact: a {curve[0].lower()}{curve[1:]} in a way that no law "
-                f"of the table has would take {100 * law.curve.share:.2g} % of the squared missing "
-                "force that is left."
-            )
+            text += f" Its equation is not exact: {law.inexact}."
         if law.laws:
             names = ", ".join(r.placed.effect.title for r in law.laws)
             text += f" Other laws fit as well: {names}."

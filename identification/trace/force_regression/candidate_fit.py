@@ -84,13 +84,13 @@ class Beside:
         forces, pull = self.training.forces(self.at, effect, shape, keep)
         X = flat(forces)
         left = self.without(X)
-        amplitudes = best_amplitudes(effect, X, left, self.rest, told)
+        amplitudes = _amplitudes(effect, X, left, self.rest, told)
         shrinks = self.training.counts(self.at, amplitudes, pull)
         if np.any(shrinks):
             pull = np.where(shrinks, pull, 0.0)
             pairs = zip(forces, self.at.missing, strict=True)
             left = self.without(flat([f + pull[:, None, :] * m for f, m in pairs]))
-            amplitudes = best_amplitudes(effect, X, left, self.rest, told)
+            amplitudes = _amplitudes(effect, X, left, self.rest, told)
         return _Fit(X, left, amplitudes, np.asarray(self.rest - left @ amplitudes))
 
 
@@ -157,7 +157,7 @@ def flat(columns: Sequence[Array]) -> Array:
     return np.asarray(np.hstack([c.reshape(len(c), -1) for c in columns]).T)
 
 
-def best_amplitudes(
+def _amplitudes(
     effect: Effect, X: Array, left: Array, rest: Array, told_from_model: float
 ) -> Array:
     """Return the least-squares amplitudes within their bounds.

@@ -65,6 +65,17 @@ class FoundLaw:
         return not self.free and self.left_share > self.least_gain
 
     @property
+    def inexact(self) -> str:
+        """What a curve over its signal explains better, as a clause; empty if none surely does."""
+        if self.curve is None:
+            return ""
+        title = self.curve.placed.effect.title
+        return (
+            f"a {title[0].lower()}{title[1:]} in a way that no law of the table has would take "
+            f"{100 * self.curve.share:.2g} % of the squared missing force that is left"
+        )
+
+    @property
     def placed(self) -> Placed:
         """The effect with its values."""
         return self.rated.placed

@@ -23,8 +23,6 @@ from .training_records import Training, missing_share
 
 Progress = Callable[[str, float], None]
 
-_ALIKE = 1.1
-"""Ratio of the squared errors of two models below which they are one choice."""
 _FRICTION, _PLAY = "friction", "backlash.play"
 
 
@@ -47,9 +45,19 @@ def search(
     progress: Progress,
 ) -> Searched:
     """Add effects to a fitted model until none is confirmed; free forms where no named one is."""
-    state, _ = _grown(_State(point, {}, ()), named, (), training, options, progress)
-    state = _with_another_choice(state, named, training, options, progress)
-    state, nearest = _grown(state, named, free_forms, training, options, progress)
+    state, nearest = _grown(_State(point, {}, ()), named, training, options, progress)
+    other = _with_another_choice(state, named, training, options, progress)
+    if other is not state:
+        state, nearest = _grown(other, named, training, options, progress)
+    while len(state.rated) < options.most_effects:
+        ranking = _ranking(state, free_forms, training, options)
+        nearest = sorted([*nearest, *ranking], key=by_gain)
+        fresh = [r for r in ranking if not described_laws(r.placed, state.point, training)]
+        after = _with_best(state, fresh, training, options)
+        if after is None:
+            break
+        state = _without_idle(after, training, options)
+        state, nearest = _grown(state, named, training, options, progress)
     progress("comparing rivals", 0.8)
     state = _against_rivals(state, training, options)
     last = {p.effect.identity: p for p in state.point.placed}
@@ -75,23 +83,17 @@ class _State:
 def _grown(
     state: _State,
     named: Sequence[Effect],
-    free_forms: Sequence[Effect],
     training: Training,
     options: SearchOptions,
     progress: Progress,
 ) -> tuple[_State, list[Rated]]:
-    """Return the state with effects added, and the candidates of the last round."""
+    """Return the state with named effects added, and the candidates of the last round."""
     nearest: list[Rated] = []
     while len(state.rated) < options.most_effects:
         number = len(state.rated) + 1
         progress(f"search, effect {number}", 0.1 + 0.1 * number)
         nearest = _ranking(state, named, training, options)
         after = _with_best(state, nearest, training, options)
-        if after is None and free_forms:
-            ranking = _ranking(state, free_forms, training, options)
-            other = [r for r in ranking if not described_laws(r.placed, state.point, training)]
-            after = _with_best(state, other, training, options)
-            nearest = sorted([*nearest, *ranking], key=by_gain)
         if after is None:
             break
         state = _without_idle(after, training, options)
@@ -122,7 +124,7 @@ def _with_another_choice(
     )
     for chosen in others[: options.patience]:
         begin = replace(chosen, point=training.fit(chosen.point))
-        other, _ = _grown(begin, named, (), training, fewer, progress)
+        other, _ = _grown(begin, named, training, fewer, progress)
         if training.cost(other.point) < most:
             return other
     return state
@@ -162,7 +164,7 @@ def _with_best(
                 for key, r in state.rated.items()
                 if first.instead_of is None or key != first.instead_of.effect.identity
             }
-            others = _distinct_choices(state, rivals, rated, training, training.cost(point))
+            others = _distinct_choices(state, rivals, rated, training, point, options)
             rated[chosen.placed.effect.identity] = chosen
             return _State(point, rated, state.dropped, (*state.not_taken, others))
     return None
@@ -173,17 +175,18 @@ def _distinct_choices(
     rivals: Sequence[tuple[Rated, ForceModel]],
     rated: dict[str, Rated],
     training: Training,
-    taken: float,
+    taken: ForceModel,
+    options: SearchOptions,
 ) -> tuple[_State, ...]:
     """Return the states that rivals lead to, best first; one for all that leave about the same.
 
-    That is the one with the fewest numbers. Those that leave as much as what was taken (`taken`)
-    are left out: they are the same choice.
+    That is the one with the fewest numbers. Those that leave about as much as the model that was
+    `taken` are left out: they are the same choice. The difference is less than an effect must take.
     """
-    groups: list[tuple[float, list[tuple[Rated, ForceModel]]]] = [(taken, [])]
+    groups: list[tuple[float, list[tuple[Rated, ForceModel]]]] = [(training.cost(taken), [])]
     costs = sorted((training.cost(point), i) for i, (_, point) in enumerate(rivals))
     for cost, i in costs:
-        if cost > _ALIKE * groups[-1][0]:
+        if cost > (1.0 + options.least_gain) * groups[-1][0]:
             groups.append((cost, []))
         groups[-1][1].append(rivals[i])
     found = []

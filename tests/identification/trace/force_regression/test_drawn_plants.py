@@ -27,8 +27,15 @@ def test_the_effect_of_a_plant_is_named(plant: str, law: str, seed: int) -> None
     assert found.force[1] < 0.4 * found.force[0]
 
 
-def test_a_short_delay_is_not_told_from_a_lag() -> None:
-    found = scored("pendulum", "delay", 700_001)
+@pytest.mark.parametrize(
+    ("law", "seed"),
+    [
+        ("delay", 700_001),  # shorter than a period: a lag is alike
+        ("gravity", 750_001),  # of a small swing: so is a cubic stiffness
+    ],
+)
+def test_what_a_pendulum_does_not_tell_apart_is_a_group(law: str, seed: int) -> None:
+    found = scored("pendulum", law, seed)
     assert found.in_group
     assert not found.false_name
 
@@ -50,12 +57,6 @@ def test_a_free_form_does_not_share_out_what_a_law_describes() -> None:
     found = scored("pendulum", "drag_15", 700_000)
     assert found.right
     assert not found.free_form
-
-
-def test_gravity_of_a_small_swing_is_not_told_from_a_cubic_stiffness() -> None:
-    found = scored("pendulum", "gravity", 750_001)
-    assert found.in_group
-    assert not found.false_name
 
 
 def test_two_effects_that_look_like_a_third_one_are_found() -> None:

@@ -177,9 +177,9 @@ def words(found: Trace) -> list[str]:
         if result.perhaps_part_of(effect):
             lines.append(f"    {PERHAPS_A_PART}")
         elif effect.evidence and result.in_doubt(effect):
-            left = 100 * effect.evidence.left_share
+            left = f"{100 * effect.evidence.left_share:.2g} %"
             lines.append(
-                f"    in doubt: {left:.2g} % of the squared prediction error is left with it"
+                f"    in doubt: of the squared prediction error without it, {left} is left"
             )
     for force in result.shaken:
         s = force.shaking

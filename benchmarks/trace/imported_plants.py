@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from typing import Any
 
@@ -86,14 +87,23 @@ class Score:
         )
 
 
-def scored(plant: str, law: str, seed: int, options: SearchOptions | None = None) -> Score:
-    """Return the score of one plant."""
+def scored(
+    plant: str, law: str, seed: int, options: SearchOptions | None = None, encoder_steps: int = 0
+) -> Score:
+    """Return the score of one plant.
+
+    encoder_steps: number of steps over its motion that each output is rounded to, 0 for none.
+    """
     drawn = case(plant, law, seed)
     rng = np.random.default_rng(seed)
     config, ratio = declared(drawn.plant, rng, bool(seed % 2))
     in_loop = bool(drawn.plant.kp.any() or drawn.plant.kd.any())
     motion, Ts_s = drawn.motion, drawn.plant.Ts_s
-    record = Experiment(plant, Ts_s, motion.u, motion.y, {}, frozenset(), False, feedback=in_loop)
+    y = motion.y
+    if encoder_steps:
+        step = np.ptp(y, axis=0) / encoder_steps
+        y = np.round(y / step) * step
+    record = Experiment(plant, Ts_s, motion.u, y, {}, frozenset(), False, feedback=in_loop)
     records, start = [imported_trace_record(record, config)], time.perf_counter()
     trace = trace_records(records, config, all_effects, lambda *_: None, options)
     seconds = time.perf_counter() - start
@@ -227,6 +237,8 @@ def main() -> None:
     pairs = dict.fromkeys(pair for some in PAIRS.values() for pair in some)
     laws = (*LAWS, *pairs)
     options.add_argument("--laws", nargs="+", default=laws, choices=laws, metavar="LAW")
+    options.add_argument("--encoder-steps", type=int, default=0, metavar="N",
+                         help="round outputs to N steps over the motion")  # fmt: skip
     arguments = options.parse_args()
     seeds = QUICK if arguments.quick else arguments.seeds
     todo = jobs(arguments.plants, arguments.laws, arguments.first_seed, seeds)
@@ -235,7 +247,8 @@ def main() -> None:
     def measure() -> Iterator[Figure]:
         scores = list[Score]()
         with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-            for score in pool.map(scored, *zip(*todo, strict=True)):
+            trace_one = partial(scored, encoder_steps=arguments.encoder_steps)
+            for score in pool.map(trace_one, *zip(*todo, strict=True)):
                 scores.append(score)
                 print(f"{len(scores)}/{len(todo)} {score}", file=sys.stderr, flush=True)
         for law in laws:

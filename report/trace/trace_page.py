@@ -164,9 +164,9 @@ def _doubt(result: Outcome, found: FoundEffect) -> str:
         return f" It is {PERHAPS_A_PART}: the table lacks what is there, and this may be its best."
     if found.evidence and result.in_doubt(found) and not result.doubt:
         return (
-            f" It is in doubt: {share_text(found.evidence.left_share)} of the squared prediction "
-            "error that there is without it is left with it. If the table lacks what is there, its "
-            "best takes something too."
+            " It is in doubt: of the squared prediction error without it, "
+            f"{share_text(found.evidence.left_share)} is left. If the table lacks what is there, "
+            "its best takes something too."
         )
     return ""
 

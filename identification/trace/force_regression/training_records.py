@@ -340,7 +340,8 @@ class Training:
 def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[np.bool_]:
     """Return where a change of the parameters changes all forces in proportion (n,).
 
-    changes: of the groups by each parameter. told: share of a square that is told from rounding.
+    changes: of the groups by each parameter. told: share of a squared force that must remain beside
+    them for it not to be free.
     """
     found = []
     for i in range(len(at.power)):

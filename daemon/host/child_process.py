@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import math
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+_FOR_SUPERVISOR = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _KILL_S = 5.0
 _READ_ONLY = fcntl.F_SEAL_WRITE | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SHRINK
 _CHECK_AFTER_S = 0.5
@@ -37,7 +39,9 @@ class Child:
     def start(self, arguments: Sequence[object], fds: Sequence[int]) -> None:
         """Start the process in its own process group, so that Ctrl-C skips it. Raises OSError.
 
-        The kernel ends it when the calling thread ends: call this from a thread that stays.
+        The kernel ends it when the calling thread ends: call this from a thread that stays. SIGINT,
+        SIGTERM and SIGHUP wait until the process calls `receive_signals`: systemd sends SIGTERM to
+        all processes, and would end one that has not yet said that it ignores the signal.
         """
         # A memory file, not a pipe: writing never waits for the reader.
         rig = os.memfd_create("levid-rig", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
@@ -46,14 +50,15 @@ class Child:
                 file.write(self._rig_json)
             fcntl.fcntl(rig, fcntl.F_ADD_SEALS, _READ_ONLY)
             os.lseek(rig, 0, os.SEEK_SET)
-            self._process = subprocess.Popen(
-                # -P: do not import modules from the working directory.
-                [sys.executable, "-P", "-m", self._module, *map(str, arguments)],
-                stdin=rig,
-                pass_fds=fds,
-                process_group=0,
-                env={**os.environ, **self._environment},
-            )
+            with _signals_wait():
+                self._process = subprocess.Popen(
+                    # -P: do not import modules from the working directory.
+                    [sys.executable, "-P", "-m", self._module, *map(str, arguments)],
+                    stdin=rig,
+                    pass_fds=fds,
+                    process_group=0,
+                    env={**os.environ, **self._environment},
+                )
         finally:
             os.close(rig)
 
@@ -109,6 +114,21 @@ class Child:
         except subprocess.TimeoutExpired:
             return False
         return True
+
+
+def receive_signals() -> None:
+    """Receive the signals that have waited since `Child.start`: call it once they are handled."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _FOR_SUPERVISOR)
+
+
+@contextlib.contextmanager
+def _signals_wait() -> Iterator[None]:
+    """Block signals of this thread; a process that it starts inherits that."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _FOR_SUPERVISOR)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _name_of(number: int) -> str:

@@ -18,6 +18,7 @@ from ..control.control_cycle import Controller
 from ..control.exception_to_fault import fault_of
 from ..control.faults import Fault
 from ..control.states import State
+from ..host.child_process import receive_signals
 from ..host.real_time_scheduling import (
     allow_cpus,
     apply_realtime,
@@ -48,6 +49,7 @@ def main(fd: str, parent: str, folder: str) -> None:
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     # The kernel also sends SIGTERM when the parent ends: stop opening the devices.
     signal.signal(signal.SIGTERM, _end)
+    receive_signals()
     signal_at_parent_death(int(parent), signal.SIGTERM)
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
     allow_cpus(rig.realtime.cpus)

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 from ...config.rig import RigConfig
 from ..control.states import State
+from ..host.child_process import receive_signals
 from ..host.process_confinement import Confinement, at_most_half_memory, confine
 from ..host.real_time_scheduling import set_process_name, signal_at_parent_death
 from .plan import MOST_CYCLES
@@ -201,6 +202,7 @@ def main(end: str, parent: str) -> None:
     """Plan until the supervisor closes the connection; read the rig as JSON from standard input."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    receive_signals()
     set_process_name("levid-planner")
     signal_at_parent_death(int(parent), signal.SIGKILL)
     planner = Planner(RigConfig.model_validate_json(sys.stdin.buffer.read()))

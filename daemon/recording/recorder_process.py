@@ -21,6 +21,7 @@ from ...log.errors import LogError
 from ...log.mcap_scan import scan
 from ...log.writer import BEGINNING
 from ..control.faults import Fault
+from ..host.child_process import receive_signals
 from ..host.fsync_worker import FsyncWorker
 from ..host.real_time_scheduling import set_process_name
 from ..ipc.json_lines import Closed, Lines
@@ -256,6 +257,7 @@ def main(fd: str, parent: str, end: str, faults: str) -> None:
     """Record until the end is requested; read the rig as JSON from standard input."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the supervisor requests the end
+    receive_signals()
     set_process_name("levid-recorder")
     rig = RigConfig.model_validate_json(sys.stdin.buffer.read())
     shared = SharedMemory(rig, int(fd))

@@ -42,6 +42,7 @@ USERS = 'u labuser - "may ask" /run\nm labuser levid\nu stranger - "may not" /ru
 DROP_IN = """[Service]
 Environment=PYTHONPATH=/srv/levid/src PYTHONDONTWRITEBYTECODE=1
 WatchdogSec=10
+TimeoutAbortSec=60
 """
 SESSION = (HERE / "session.yaml").read_text()
 LONG = SESSION.replace("duration_s: 4", "duration_s: 600")

@@ -76,3 +76,25 @@ def test_end_names_the_signal_that_killed_the_child(number: int, words: str) -> 
     assert child.wait(60.0)
     assert child.end == f"killed by {words}"
     assert child.pid is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signal_waits_until_the_child_handles_it(tmp_path: Path, number: signal.Signals) -> None:
+    """systemd signals all processes of a service, one that is being started too."""
+    handled = tmp_path / "handled"
+    tell = f"signal.signal({int(number)}, lambda *_: open({str(handled)!r}, 'w').close())"
+    receive = "from levid.daemon.host.child_process import receive_signals; receive_signals()"
+    child = Child("child", "timeit", b"")
+    wait_s = 0.3  # so long it has no handler
+    child.start(
+        ("-n", 10**12, "-s", f"import signal, time; time.sleep({wait_s}); {tell}; {receive}", ""),
+        (),
+    )
+    try:
+        assert child.pid is not None
+        os.kill(child.pid, number)
+        wait_until(handled.exists, 60.0)
+        assert child.running
+    finally:
+        child.kill()
+    assert not signal.pthread_sigmask(signal.SIG_BLOCK, ())  # of this process

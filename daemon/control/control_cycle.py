@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...model.geometry import decoupling_matrix, shape_matrix
+from .controller_memory import ROWS, memory_shape
 from .faults import Fault
 from .feed_forward import feed_forward
 from .flight_segment import Segment
@@ -29,10 +30,8 @@ _BEAM_MARGIN, _BEAM_MARGIN_M_S = 1.5, 0.05
 # A readback above this multiple of the coil limit is invalid and does not count as heat.
 _MOST_CARRIED = 10.0
 
-# Rows of the memory (ROWS, 4). Each array argument of a compiled function costs about 50 ns a call,
-# and the cycle must not allocate: state and scratch share one block. After these rows follow, flat:
-# coil heat (C,) in N^2, cycle of the heat, previous gaps (S,), cycle of the previous gaps.
-_POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _REF, _FF, _TAU, _LOST, _ROWS = range(11)
+# Rows of the memory, see controller_memory.
+_POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _REF, _FF, _TAU, _LOST = range(ROWS)
 
 
 class Controller:
@@ -77,8 +76,8 @@ class Controller:
         )
         self._law = np.concatenate([np.asarray(part, float) for part in law])
         self._memory = np.zeros(memory_shape(coils, sensors)) if memory is None else memory
-        self._memory[:_ROWS] = 0.0
-        self.heat, _, self._before = np.split(self._memory[_ROWS:].ravel(), [coils, coils + 1])
+        self._memory[:ROWS] = 0.0
+        self.heat, _, self._before = np.split(self._memory[ROWS:].ravel(), [coils, coils + 1])
         """Mean square force (C,) in N^2 over limits.coil_time_constant_s."""
         self._coil_time_constant_s = limits.coil_time_constant_s
         self._before[:] = np.nan
@@ -168,21 +167,6 @@ class Controller:
         )  # fmt: skip
 
 
-def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
-    """Return the shape of the memory array of a controller."""
-    return _ROWS + (coils + sensors + 5) // 4, 4
-
-
-def heat_of(memory: Array, coils: int) -> Array:
-    """Return a view (C,) of the coil heat in a controller's memory: low-pass squared force, N^2."""
-    return memory[_ROWS:].ravel()[:coils]
-
-
-def heated_of(memory: Array, coils: int) -> Array:
-    """Return a view (1,) of the cycle at which the coil heat was computed."""
-    return memory[_ROWS:].ravel()[coils : coils + 1]
-
-
 @njit(cache=True)
 def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - the cycle, in its order
     rows, slot, cycle, time_s, k, read_s, inputs, outputs, law, memory,
@@ -211,8 +195,8 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         memory[_POSE], memory[_INTEGRAL], memory[_REST], memory[_GOAL], memory[_LAST],
     )  # fmt: skip
     ref, ff, tau, lost = memory[_REF], memory[_FF], memory[_TAU], memory[_LOST]
-    memory[_REF:_ROWS] = 0.0
-    more = memory[_ROWS:].reshape(-1)
+    memory[_REF:ROWS] = 0.0
+    more = memory[ROWS:].reshape(-1)
     heat, before = more[:n_coils], more[n_coils + 1 : n_coils + n_sensors + 2]
     state, in_control, airborne = memory[_MODE, 0], memory[_MODE, 1] > 0, memory[_MODE, 2] > 0
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...log.signals import cycle_dtype
-from ..control.control_cycle import heat_of, heated_of, memory_shape
+from ..control.controller_memory import heat_of, heated_of, memory_shape
 from .flight_segment_stream import SegmentStream
 from .row_ring import Ring, ring_rows
 from .shared_status_words import ControlWords, Word

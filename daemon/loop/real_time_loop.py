@@ -21,8 +21,8 @@ from ..control.states import State
 from ..control.watchdog_times import longest_stall
 from ..ipc.shared_memory import SharedMemory
 from ..ipc.shared_status_words import Word
-from ..ipc.timing_histograms import account, count_wake_up, memory_of
 from .clock import Clock
+from .count_cycle_times import account, count_wake_up, memory_of
 from .state_machine import AROUND_CLEAR, StateMachine
 
 _COUNT_EVERY = 63

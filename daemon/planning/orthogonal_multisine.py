@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import hadamard
 
 from ...config.session import Excitation, Orthogonal
 from .excitation import excited_lines, one_period
@@ -69,6 +68,9 @@ def orthogonal_cycles(
 def orthogonal_matrix(p: int) -> Complex:
     """Return W (p, p), |W| = 1, W W^H = p I: Hadamard for powers of two, otherwise DFT matrix."""
     if p & (p - 1) == 0:
-        return np.asarray(hadamard(p), dtype=np.complex128)
+        W: Complex = np.ones((1, 1), dtype=np.complex128)
+        while len(W) < p:  # as scipy.linalg.hadamard, whose import takes half of a planner's start
+            W = np.block([[W, W], [W, -W]])
+        return W
     k = np.arange(p)
     return np.asarray(np.exp(-2j * np.pi * np.outer(k, k) / p))

@@ -10,8 +10,9 @@ import numpy as np
 from levid.config.rig import load_rig
 from levid.daemon.control.control_cycle import Controller
 from levid.daemon.control.landing import Landing
-from levid.daemon.ipc.timing_histograms import WakeUps, count_wake_up, memory_of
+from levid.daemon.ipc.timing_histograms import WakeUps
 from levid.daemon.loop.clock import VirtualClock
+from levid.daemon.loop.count_cycle_times import count_wake_up, memory_of
 from levid.daemon.loop.virtual_flight import Flight
 from levid.drivers.reading_checks import SensorWatch
 from levid.wire.can.can_frames import load_frames

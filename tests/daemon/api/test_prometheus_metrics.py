@@ -10,7 +10,8 @@ import pytest
 
 from levid.daemon.api import prometheus_metrics
 from levid.daemon.api.prometheus_metrics import MetricsError, serve_metrics
-from levid.daemon.ipc.timing_histograms import Timing, account, memory_of
+from levid.daemon.ipc.timing_histograms import Timing
+from levid.daemon.loop.count_cycle_times import account, memory_of
 
 parser = pytest.importorskip("prometheus_client.parser")
 

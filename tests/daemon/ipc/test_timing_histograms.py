@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from levid.daemon.ipc.timing_histograms import Time, Timing, account, memory_of
+from levid.daemon.ipc.timing_histograms import Time, Timing
+from levid.daemon.loop.count_cycle_times import account, memory_of
 
 PERIOD_NS = 1e6
 

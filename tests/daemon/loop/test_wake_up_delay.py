@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from loop_with_scripted_clock import ScriptedLoop
 
-from levid.daemon.ipc.timing_histograms import WakeUps, count_wake_up
+from levid.daemon.ipc.timing_histograms import WakeUps
 from levid.daemon.loop import clock as clock_module
 from levid.daemon.loop.clock import RealClock
+from levid.daemon.loop.count_cycle_times import count_wake_up
 
 
 def counted(times_ns: np.ndarray) -> WakeUps:

@@ -1,0 +1,28 @@
+"""Lay out the memory of a controller, which outlives the process of the loop."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ROWS = 10
+"""Rows (ROWS, 4) of state and scratch. Each array argument of a compiled function costs about 50 ns
+a call, and the cycle must not allocate: they share one block. After these rows follow, flat: coil
+heat (C,) in N^2, cycle of the heat, previous gaps (S,), cycle of the previous gaps."""
+
+
+def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
+    """Return the shape of the memory array of a controller."""
+    return ROWS + (coils + sensors + 5) // 4, 4
+
+
+def heat_of(memory: Array, coils: int) -> Array:
+    """Return a view (C,) of the coil heat in a controller's memory: low-pass squared force, N^2."""
+    return memory[ROWS:].ravel()[:coils]
+
+
+def heated_of(memory: Array, coils: int) -> Array:
+    """Return a view (1,) of the cycle at which the coil heat was computed."""
+    return memory[ROWS:].ravel()[coils : coils + 1]

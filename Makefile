@@ -32,7 +32,7 @@ demo: $(RUNTIME)
 test: $(DEV)
 	@failed=0; \
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone" \
-	  --numprocesses auto --maxprocesses 4 --dist loadfile || failed=$$?; \
+	  --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder || failed=$$?; \
 	$(BIN)/python -m pytest -m "alone and not long" && exit $$failed
 
 test-long: $(DEV)

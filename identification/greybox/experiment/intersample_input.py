@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.signal import lfilter
@@ -217,16 +219,21 @@ def _between(u: Array, Ts_s: float, delay_s: float, lag_s: float) -> Array:
 
 
 def _piecewise_linear(fine: Array, Ts_s: float, order: int, n: int) -> Array:
-    pieces, step_s = _OVERSAMPLING, Ts_s / _OVERSAMPLING
-    result = np.zeros((n, order, fine.shape[1]))
+    periods = sliding_window_view(fine[: _OVERSAMPLING * n + 1], _OVERSAMPLING + 1, axis=0)
+    return np.asarray((periods[::_OVERSAMPLING] @ _of_points(Ts_s, order).T).swapaxes(1, 2))
+
+
+@cache
+def _of_points(Ts_s: float, order: int) -> Array:
+    """Return the moments (order, _OVERSAMPLING + 1) of the lines through the points of a period."""
+    step_s = Ts_s / _OVERSAMPLING
     # Enough Gauss points for a straight line times a polynomial of degree order - 1.
     nodes, weights = np.polynomial.legendre.leggauss(order // 2 + 2)
-    for piece in range(pieces):
-        left = fine[piece : piece + pieces * n : pieces][:n]
-        right = fine[piece + 1 : piece + 1 + pieces * n : pieces][:n]
-        for node, weight in zip(0.5 + 0.5 * nodes, 0.5 * weights, strict=True):
-            rest = Ts_s - (piece + node) * step_s
-            value = (1.0 - node) * left + node * right
-            for j in range(order):
-                result[:, j] += weight * step_s * rest**j / math.factorial(j) * value
-    return result
+    nodes, weights = 0.5 + 0.5 * nodes, 0.5 * weights * step_s
+    factorial = np.array([math.factorial(i) for i in range(order)], float)[:, None, None]
+    left_s = Ts_s - (np.arange(_OVERSAMPLING)[:, None] + nodes) * step_s
+    kernel = left_s ** np.arange(order)[:, None, None] / factorial
+    found = np.zeros((order, _OVERSAMPLING + 1))
+    found[:, :-1] = kernel @ (weights * (1.0 - nodes))
+    found[:, 1:] += kernel @ (weights * nodes)
+    return found

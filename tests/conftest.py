@@ -35,6 +35,8 @@ _COMPUTE = (
     *("daemon/planning/test_plan.py", "daemon/recording/test_coil_heat_file"),
     *("benchmarks/test_coverage_and_largest_error", "benchmarks/test_log_rows_vs_commit"),
     *("benchmarks/test_simulated_unlisted_effects", "benchmarks/test_hidden_effects"),
+    *("benchmarks/test_imported_plant_simulation", "benchmarks/test_search_numbers"),
+    *("benchmarks/test_search_option_sensitivity", "benchmarks/test_support_calibration"),
     *("drivers/can/test_canopen_fuzz", "drivers/can/test_reading_collector_fuzz"),
     *("drivers/can/test_sdo_fuzz", "drivers/serial/test_transaction_fuzz"),
 )

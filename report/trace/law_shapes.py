@@ -83,9 +83,8 @@ def _fitted_and_measured(
     placed = next(p for p in point.placed if p.effect.identity == law.placed.effect.identity)
     forces = record.effect_forces(point.model, placed.effect, placed.shape)
     fitted = np.tensordot(np.array(placed.amplitudes), forces, 1)
-    missing = record.missing_force(point)
-    fitted = fitted - fitted.mean(axis=0)
-    return fitted, fitted + missing - missing.mean(axis=0)
+    fitted = record.varying(fitted)
+    return fitted, fitted + record.varying(record.missing_force(point))
 
 
 def _signals(trace: ForceTrace) -> Iterator[tuple[str, str, Array]]:

@@ -3,6 +3,9 @@
 The missing force is M q'' + D q' + K q - B u of signals below a frequency limit, less the forces of
 the effects in the model. It needs neither the controller nor an initial state, so a record may come
 from an unknown loop, and its plant may be unstable.
+
+Where a DOF rests, its equation does not count: dry friction holds it with any force up to its
+level, so that what is missing there tells nothing of any effect.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from ...greybox.experiment.intersample_input import Hold
 from ...greybox.force_balance.band_limited_signals import BandLimited
 from ...greybox.free_parameters import FreeParameters
 from ..records.record_from_log import TraceRecord
+from .rests import moving_rows
 
 Array = NDArray[np.float64]
 
@@ -59,6 +63,8 @@ class ForceModel:
 class ForceRecord:
     """One record below a limit. `rows` of it count; `kept` are the signals at these rows.
 
+    moves (rows, n): whether a DOF moves, 1 or 0; where it rests, all forces are 0.
+
     signals: below a limit of their own, from which the forces of effects are computed. A law is not
     linear: of signals below the limit of the balance it would be a force that nothing has. What it
     gives passes the low-pass of the balance as all other forces do.
@@ -68,6 +74,7 @@ class ForceRecord:
     band: BandLimited
     signals: Signals
     kept: tuple[Array, ...]
+    moves: Array
     decoupling: Array
     _matrices: list[tuple[DeclaredModel, SecondOrder]] = field(default_factory=list, repr=False)
     _inputs: dict[tuple[float, float], Array] = field(default_factory=dict, repr=False)
@@ -75,10 +82,12 @@ class ForceRecord:
     _recent: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, record: TraceRecord, hold: Hold, cutoff_hz: float, law_hz: float) -> ForceRecord:
+    def of(
+        cls, record: TraceRecord, hold: Hold, cutoff_hz: float, law_hz: float, sd: Array
+    ) -> ForceRecord:
         """Return a record below `cutoff_hz`, and its signals for laws below `law_hz`.
 
-        Raises IdentificationError if its schedule moves.
+        sd (n,): noise of the outputs. Raises IdentificationError if its schedule moves.
         """
         e = record.experiment
         band = BandLimited.of(e, hold, cutoff_hz, _OVERSAMPLED)
@@ -88,7 +97,10 @@ class ForceRecord:
             e.Ts_s, record.time_s, q, qd, qdd, record.coil, none, none, none, none, none, none,
             e.delay_cycles, record.places, around_rows=True,
         )  # fmt: skip
-        return cls(record.name, band, signals, band.kept_derivatives(), record.places.decoupling)
+        moves = moving_rows(qd, sd, e.Ts_s, law_hz, 1.0 / cutoff_hz)[band.kept].astype(float)
+        return cls(
+            record.name, band, signals, band.kept_derivatives(), moves, record.places.decoupling
+        )
 
     def counted_from(self, row: int) -> ForceRecord:
         """Return the record with only the rows that count behind a row and an edge as at its begin.
@@ -97,7 +109,8 @@ class ForceRecord:
         """
         old = self.band.kept
         band = replace(self.band, kept=slice(row + old.start, old.stop, old.step))
-        return replace(self, band=band, kept=band.kept_derivatives(), **_empty())
+        moves = self.moves[-len(range(*band.kept.indices(len(self.signals.q)))) :]
+        return replace(self, band=band, kept=band.kept_derivatives(), moves=moves, **_empty())
 
     @property
     def rows(self) -> int:
@@ -141,18 +154,23 @@ class ForceRecord:
         for p in point.placed:
             more = self.group_changes(point.model, p.effect, p.shape)
             groups = groups + np.tensordot(np.array(p.amplitudes), more, 1)
-        return groups
+        return np.asarray(groups * self.moves)
 
     def acting_force(self, point: ForceModel) -> Array:
         """Return the force of the inputs (rows, n) without its mean.
 
         Where an equation has no input, it is the force of inertia or of all else, the larger one.
         """
-        groups = self.groups(point)
-        groups = groups - groups.mean(axis=1, keepdims=True)
+        groups = self.varying(self.groups(point))
         sizes = groups.std(axis=1)
         chosen = np.where(sizes[0] > 0.0, 0, np.argmax(sizes, axis=0))
         return np.stack([groups[k, :, i] for i, k in enumerate(chosen.tolist())], axis=1)
+
+    def varying(self, values: Array) -> Array:
+        """Return forces (..., rows, n) without the constant that fits them best where they move."""
+        count = np.maximum(self.moves.sum(axis=0), 1.0)
+        mean = np.sum(values * self.moves, axis=-2, keepdims=True) / count
+        return np.asarray((values - mean) * self.moves)
 
     def group_changes(
         self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
@@ -173,7 +191,7 @@ class ForceRecord:
             if false is not None:
                 changes[i, 1] -= false[2] @ at.M.T
                 changes[i, 2] -= false[1] @ at.D.T + false[0] @ at.K.T
-        return changes
+        return np.asarray(changes * self.moves)
 
     def force_of_command(self, model: DeclaredModel, held: Array) -> Array:
         """Return the force (rows, n) of additions to the inputs (N, p)."""

@@ -96,7 +96,7 @@ def reported_error(
     seen: the same record below the band's limit. sd (n,): noise of the outputs. stated: the noise
     that the records state, None if they do not.
     """
-    missing = seen.missing_force(point)
+    missing = seen.varying(seen.missing_force(point))
     acting = seen.acting_force(point)
     e = record.experiment
     error = floor = np.full(e.y.shape[1], np.nan)

@@ -36,18 +36,18 @@ def residual_of_richest(
     which the table of effects lacks.
     """
     whole = [_columns(r, point, unlisted) for r in records]
-    missing = [r.missing_force(point) for r in records]
+    missing = [r.varying(r.missing_force(point)) for r in records]
     left = [np.zeros_like(m) for m in missing]
     # Two rows per period of the limit are independent.
     independent = sum(2.0 * r.rows * r.band.row_s * r.band.cutoff_hz for r in records)
     for i in range(missing[0].shape[1]):
         A = np.vstack(
             [
-                np.hstack([_centred(w), _centred(c[:, :, i].T)])
-                for w, c in zip(whole, own, strict=True)
+                _varying(np.hstack([w, c[:, :, i].T]), r.moves[:, i : i + 1])
+                for r, w, c in zip(records, whole, own, strict=True)
             ]
         )
-        b = np.concatenate([_centred(m[:, i : i + 1]) for m in missing])
+        b = np.concatenate([m[:, i : i + 1] for m in missing])
         A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
         U, size, _ = np.linalg.svd(A, full_matrices=False)
         U = U[:, size > 1e-8 * size[0]]
@@ -63,8 +63,10 @@ def residual_of_richest(
     return left
 
 
-def _centred(values: Array) -> Array:
-    return np.asarray(values - values.mean(axis=0))
+def _varying(values: Array, moves: Array) -> Array:
+    """Return columns (rows, C) without the constant that fits them best where the DOF moves."""
+    mean = np.sum(values * moves, axis=0) / max(float(moves.sum()), 1.0)
+    return np.asarray((values - mean) * moves)
 
 
 def _columns(record: ForceRecord, point: ForceModel, unlisted: bool) -> Array:

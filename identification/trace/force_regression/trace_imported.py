@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -133,9 +133,9 @@ def _traced(
     parts = [_split(r, options.reported) for r in records]
     train, kept = [p[0] for p in parts], [p[1] for p in parts]
     law_hz = max(limit_hz, min(velocity_limit(r.experiment, sd) for r in records))
-    fitted = tuple(ForceRecord.of(r, hold, limit_hz, law_hz) for r in train)
+    fitted = tuple(ForceRecord.of(r, hold, limit_hz, law_hz, sd) for r in train)
     reported = tuple(
-        ForceRecord.of(whole, hold, limit_hz, law_hz).counted_from(begin.rows)
+        ForceRecord.of(whole, hold, limit_hz, law_hz, sd).counted_from(begin.rows)
         for whole, begin in zip(records, train, strict=True)
     )
     places = records[0].places
@@ -157,12 +157,13 @@ def _traced(
 
     progress("intervals", 0.9)
     others = [
-        _training_below(found.point, train, hold, limit_hz * _MIDDLE / step, law_hz, options)
+        _training_below(found.point, train, hold, limit_hz * _MIDDLE / step, law_hz, sd, options)
         for step in BAND_STEPS
         if step != _MIDDLE
     ]
     noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
-    others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, options))
+    more = np.sqrt(2.0) * sd
+    others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
     errors = standard_errors(found.point, training, others)
     whole = Beside.of(found.point, training)
     left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
@@ -211,10 +212,6 @@ def _left_share(
     return tuple(shares)
 
 
-def _centred(missing: Iterable[Array]) -> list[Array]:
-    return [m - m.mean(axis=0) for m in missing]
-
-
 def _weighed(
     start: ForceModel, fitted: tuple[ForceRecord, ...], limit_hz: float, options: SearchOptions
 ) -> tuple[Training, ForceModel]:
@@ -228,7 +225,7 @@ def _weighed(
     point = training.first_fit(start)
     beside = Beside.of(point, training)
     left = residual_of_richest(point, fitted, beside.plain.own)
-    missing = _centred(r.missing_force(point) for r in fitted)
+    missing = [r.varying(r.missing_force(point)) for r in fitted]
     # If all terms of an equation are free, a free form explains all of it and tells nothing.
     left = [
         np.where(training.all_free, plain, form) for form, plain in zip(left, missing, strict=True)
@@ -249,11 +246,12 @@ def _training_below(
     hold: Hold,
     limit_hz: float,
     law_hz: float,
+    sd: Array,
     options: SearchOptions,
 ) -> Training:
     """Return the training records below another limit, weighed by the found model's residual."""
-    records = tuple(ForceRecord.of(r, hold, limit_hz, max(limit_hz, law_hz)) for r in train)
-    centred = _centred(r.missing_force(point) for r in records)
+    records = tuple(ForceRecord.of(r, hold, limit_hz, max(limit_hz, law_hz), sd) for r in train)
+    centred = [r.varying(r.missing_force(point)) for r in records]
     white = whitening_of(centred, [r.band.row_s for r in records], limit_hz)
     blocks = Blocks.of([r.rows for r in records], options.blocks)
     training = Training.unscaled(records, white, blocks)

@@ -334,7 +334,10 @@ class Training:
 
     def _weighed(self, record: ForceRecord, values: Array) -> Array:
         white = self.whitening.apply(values, record.band.row_s)
-        return np.asarray(white - white.mean(axis=-2, keepdims=True))
+        constant = self.whitening.apply(record.moves, record.band.row_s)
+        squares = np.maximum(np.sum(constant * constant, axis=0), _TINY)
+        share = np.sum(white * constant, axis=-2, keepdims=True) / squares
+        return np.asarray(white - share * constant)
 
 
 def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[np.bool_]:

@@ -32,14 +32,15 @@ from ..linearised.intersample_moments import force_moments
 from ..linearised.linearisation_point import WorkingPoint, corrected_experiment, filter_of, filtered
 from ..records.effect_signals import rate, trajectory
 from ..records.record_from_log import TraceRecord
+from .anderson_mixing import AndersonMixing
 
 Array = NDArray[np.float64]
 
 _MAX_ITERATIONS = 40
 _SETTLED = 1e-2
 """Rms change of the readings at convergence, in sensor noise standard deviations."""
-_OSCILLATION_RATIO = 0.7
-_MIN_STEP = 0.1
+_KEPT = 10
+"""Steps that the next one is extrapolated from."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +84,11 @@ def free_run(
     offset, state = _start(point, record, added, first)
     q_given = e.y if added.gap is None else e.y - added.gap @ record.places.decoupling.T
     at = settled(at, offset)
-    change, damping_factor = np.inf, 1.0
+    change = np.inf
     q, u = _simulate(point, record, at, added, first, state, q_given)
     before: Signals | None = None
+    mixed = AndersonMixing(_KEPT)
+    sd = point.disturbance.sensor_sd if sensor_sd is None else sensor_sd
     for _ in range(_MAX_ITERATIONS if point.placed else 0):
         if not np.all(np.isfinite(q)):
             break
@@ -102,18 +105,13 @@ def free_run(
                 point, record, at, slopes, move, rate(move, e.Ts_s), first
             )
             next_q, next_u = next_q + more_q, next_u + more_u
-        last_change, step = change, next_q - q
-        sd = point.disturbance.sensor_sd if sensor_sd is None else sensor_sd
-        change = float(np.sqrt(np.mean((step @ record.places.sensor_shape.T / sd) ** 2)))
-        # Halve the step if the iteration oscillates.
-        damping_factor = (
-            max(0.5 * damping_factor, _MIN_STEP)
-            if change > _OSCILLATION_RATIO * last_change
-            else damping_factor
-        )
-        before, q, u = signals, q + damping_factor * step, u + damping_factor * (next_u - u)
+        step = (next_q - q) @ record.places.sensor_shape.T / sd
+        change = float(np.sqrt(np.mean(step**2)))
+        before = signals
         if change < _SETTLED:
+            q, u = next_q, next_u
             break
+        q, u = mixed.next((q, u), (next_q, next_u), step)
     gap = q @ record.places.sensor_shape.T
     if added.gap is not None:
         gap = gap + added.gap

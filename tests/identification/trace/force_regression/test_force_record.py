@@ -36,7 +36,7 @@ def record(law_hz: float) -> ForceRecord:
     """Return a record whose position has frequencies up to some 30 Hz."""
     y = lfilter([0.3], [1.0, -0.7], np.random.default_rng(4).normal(size=(ROWS, 1)), axis=0)
     e = Experiment("r", TS, np.zeros((ROWS, 1)), 1e-3 * y, {}, frozenset(), False)
-    return ForceRecord.of(imported_trace_record(e, CONFIG), "zoh", LIMIT_HZ, law_hz)
+    return ForceRecord.of(imported_trace_record(e, CONFIG), "zoh", LIMIT_HZ, law_hz, np.zeros(1))
 
 
 def damping(signals: Signals, _shape: Sequence[float]) -> list[Term]:

@@ -19,6 +19,10 @@ Gaussian signal clipped at two standard deviations 20."""
 _LEAST_LEVELS = 20
 """Least number of bins between the extremes with values. Steps and binary signals have fewer: they
 rest at levels that are meant."""
+_STEP, _HALTED = 2, 0.5
+"""A reading is cut off, or a motion halted, in the middle of it: before it rests at a level it
+changes by half of what it does in the mean, at least. That is measured over a time in which it
+changes by so many bins; noise changes it by less. A move that ends at rest is slow there."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +34,12 @@ class ClippedLevel:
     side: str
 
 
-def clipped_levels(values: Array) -> list[ClippedLevel]:
+def clipped_levels(values: Array, *, halted: bool = False) -> list[ClippedLevel]:
     """Return the extreme levels at which a signal (N,) rests; NaN counts as missing.
 
     The histogram decides: far more rows in the outermost bin, 0.5 % of the range, than in the bins
-    beside it. Rows at rest before the signal starts and after it ends do not count.
+    beside it. Rows at rest before the signal starts and after it ends do not count. halted: only
+    levels at which it arrives in full motion.
     """
     values = _trimmed(values[~np.isnan(values)])
     if len(values) < _LEAST_ROWS or np.ptp(values) == 0.0:
@@ -43,6 +48,7 @@ def clipped_levels(values: Array) -> list[ClippedLevel]:
     if np.count_nonzero(counts[1:-1]) < _LEAST_LEVELS:
         return []
     found = []
+    bin_width = float(np.ptp(values)) / _BINS
     for side, level, ordered in (
         ("highest", float(values.max()), counts[::-1]),
         ("lowest", float(values.min()), counts),
@@ -50,7 +56,10 @@ def clipped_levels(values: Array) -> list[ClippedLevel]:
         rows, others = int(ordered[0]), ordered[1:]
         # Coarsely quantised values leave bins empty.
         beside = float(np.mean(others[others > 0][:_NEIGHBOURS]))
-        if rows >= max(_LEAST_ROWS, _LEAST_SHARE * len(values)) and rows > _RATIO * beside:
+        if rows < max(_LEAST_ROWS, _LEAST_SHARE * len(values)) or rows <= _RATIO * beside:
+            continue
+        at_level = np.abs(values - level) < bin_width
+        if not halted or _in_full_motion(values, at_level, _STEP * bin_width):
             found.append(ClippedLevel(level, rows / len(values), side))
     return found
 
@@ -78,8 +87,25 @@ def clipping_remarks(name: str, unit: str, values: Array, *, output: bool) -> li
     return [
         f"{name} rests at its {found.side} value, {found.level:.4g}{number}, in "
         f"{100 * found.share:.2g} % of the rows: {cost(f'{100 * found.share:.2g} %')}"
-        for found in clipped_levels(values)
+        for found in clipped_levels(values, halted=output)
     ]
+
+
+def _in_full_motion(values: Array, at_level: NDArray[np.bool_], change: float) -> bool:
+    """Return whether values arrive at a level about as fast as they move elsewhere."""
+    lag = 1
+    while lag < len(values) // 2 and _rms(values[lag:] - values[:-lag]) < change:
+        lag *= 2
+    arrives = np.flatnonzero(~at_level[:-1] & at_level[1:]) + 1
+    arrives = arrives[arrives >= lag]
+    if not len(arrives):
+        return True
+    steps = np.abs(values[arrives] - values[arrives - lag])
+    return bool(np.median(steps) > _HALTED * _rms(values[lag:] - values[:-lag]))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _trimmed(values: Array) -> Array:

@@ -98,7 +98,8 @@ class ForceOutcome:
 
     before, after: errors on the reported rows. metric: what measures them; `before_rms`,
     `after_rms` in its unit. free_form (n,): what a free form of all signals leaves of the force in
-    the fitted rows, in per cent, nan without one.
+    the fitted rows, in per cent, nan without one. nearest: what takes much of what is left, and was
+    refused, as a clause; empty if nothing does.
     """
 
     laws: tuple[FoundLaw, ...]
@@ -110,6 +111,7 @@ class ForceOutcome:
     floor: float | None
     free_form: Array
     dof: tuple[str, ...]
+    nearest: str
 
     @property
     def doubtful(self) -> bool:
@@ -131,13 +133,15 @@ class ForceOutcome:
             parts.append(f"no known law, described by a free form: {', '.join(forms)}")
         if not parts:
             parts.append("no effect is confirmed")
+        if self.nearest:
+            parts.append(self.nearest)
         return "; ".join([*parts, self.rest])
 
     @property
     def rest(self) -> str:
         """What the model leaves of the force, in a clause."""
         left = [
-            f"{after:.3g} % of the force at {name}" + _beside(form)
+            f"{after:.3g} % of the force at {name}" + _beside(form, after)
             for name, after, form in zip(
                 self.dof, self.after.force_percent, self.free_form, strict=True
             )
@@ -145,9 +149,9 @@ class ForceOutcome:
         return f"the model leaves {', '.join(left)}"
 
 
-def _beside(form: float) -> str:
+def _beside(form: float, after: float) -> str:
     known = f" (a free form of all signals leaves {form:.3g} % of the fitted rows)"
-    return known if math.isfinite(form) else ""
+    return known if form < after else ""
 
 
 def force_outcome(trace: ForceTrace) -> ForceOutcome:
@@ -172,7 +176,20 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         floor,
         trace.free_form,
         trace.places.dof,
+        _nearest(trace),
     )
+
+
+def _nearest(trace: ForceTrace) -> str:
+    options = trace.options
+    for r in trace.found.nearest:
+        if r.gain.statistic > options.standard_errors and r.share > options.least_free_gain:
+            why = "is too small to matter" if r.gain.elsewhere else "is contradicted by a record"
+            return (
+                f"nearest: {r.placed.effect.name}, which would take {100 * r.share:.2g} % of the "
+                f"squared missing force and {why}"
+            )
+    return ""
 
 
 def force_summary(trace: ForceTrace) -> dict[str, Any]:
@@ -297,10 +314,13 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         for p, own in zip(trace.found.point.placed, _parameters(trace), strict=True)
     }
     laws = []
+    known = {p.effect.identity for p in trace.found.point.placed}
     for rated, left in zip(trace.found.rated, trace.left_share, strict=True):
         own = _kind(rated)
-        same = tuple(r for r in rated.alternatives if _kind(r) == own)
-        others = tuple(r for r in rated.alternatives if _kind(r) != own)
+        # What was found later besides is no alternative any more.
+        rivals = [r for r in rated.alternatives if r.placed.effect.identity not in known]
+        same = tuple(r for r in rivals if _kind(r) == own)
+        others = tuple(r for r in rivals if _kind(r) != own)
         own_values, least = values[rated.placed.effect.identity], trace.options.least_gain
         curve = trace.curves.get(rated.placed.effect.identity)
         laws.append(FoundLaw(rated, own_values, rated.support, others, same, left, least, curve))
@@ -346,7 +366,11 @@ def _effect(law: FoundLaw) -> dict[str, Any]:
             name: {"value": p.value, "se": p.se, "unit": p.unit}
             for name, p in law.parameters.items()
         },
-        "support": sum(supports) if law.alternatives else law.support,
+        "support": sum(
+            {
+                _kind(r): s for r, s in zip((rated, *law.alternatives), supports, strict=True)
+            }.values()
+        ),
         "alternatives": [
             {**_named(r), "support": s} for r, s in zip(members, supports, strict=False)
         ],

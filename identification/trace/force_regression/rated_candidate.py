@@ -57,12 +57,15 @@ def confirmed(rated: Rated, options: SearchOptions) -> bool:
 
     A free form names no law that would hold elsewhere, so other records must confirm it.
     """
-    gain = rated.gain
-    surely = gain.statistic > options.standard_errors
+    asked = not rated.free or bool(np.all(np.isfinite(rated.gain.others)))
+    return confirmed_here(rated, options) and asked and rated.gain.elsewhere
+
+
+def confirmed_here(rated: Rated, options: SearchOptions) -> bool:
+    """Return whether an effect is no chance and matters, whatever each record says of it."""
+    surely = rated.gain.statistic > options.standard_errors
     least = options.least_free_gain if rated.free else options.least_gain
-    matters = rated.share > least and rated.force > options.least_force
-    asked = not rated.free or bool(np.all(np.isfinite(gain.others)))
-    return surely and matters and asked and gain.elsewhere
+    return surely and rated.share > least and rated.force > options.least_force
 
 
 def rate(

@@ -120,7 +120,8 @@ def reported_error(
 def _simulated(
     point: ForceModel, record: TraceRecord, missing: Array, seen: ForceRecord, hold: Hold, sd: Array
 ) -> tuple[Array, bool]:
-    """Return the RMS error (n,) of a free run, nan if it diverges, and whether it converged."""
+    """Return the RMS error (n,) of a free run, nan if it diverges or does not converge, and whether
+    it converged."""
     e = record.experiment
     density = np.maximum(missing.var(axis=0) / (2.0 * seen.band.cutoff_hz), np.finfo(float).tiny)
     noise = Noise.independent(density, sd**2)
@@ -134,7 +135,7 @@ def _simulated(
     except (IdentificationError, np.linalg.LinAlgError):
         return np.full(e.y.shape[1], np.nan), False
     bounded = bool(np.all(rms < _DIVERGED * e.y.std(axis=0)))
-    return (rms if bounded else np.full_like(rms, np.nan)), run.settled
+    return (rms if bounded and run.settled else np.full_like(rms, np.nan)), run.settled
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from .candidate_fit import Beside
 from .compare_fitted_candidates import fitted_rivals
 from .force_record import ForceModel
 from .free_form_of_law_signal import described_laws
-from .rated_candidate import Rated, by_gain, confirmed, is_free, rate, rated_beside
+from .rated_candidate import Rated, by_gain, confirmed, confirmed_here, is_free, rate, rated_beside
 from .training_records import Training, missing_share
 
 Progress = Callable[[str, float], None]
@@ -93,11 +93,49 @@ def _grown(
         number = len(state.rated) + 1
         progress(f"search, effect {number}", 0.1 + 0.1 * number)
         nearest = _ranking(state, named, training, options)
+        pair = _with_two_at_once(state, nearest, named, training, options)
+        if pair is not None:
+            state = pair
+            continue
         after = _with_best(state, nearest, training, options)
         if after is None:
             break
         state = _without_idle(after, training, options)
     return state, nearest
+
+
+def _with_two_at_once(
+    state: _State,
+    ranking: Sequence[Rated],
+    named: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+) -> _State | None:
+    """Return the state with the effect that gains most and another one, if they need each other.
+
+    While two effects are missing, what one record says of one of them may be mostly the other: so
+    an effect that only another record contradicts is tried. Both count if both are confirmed
+    beside each other, by the same criterion as all.
+    """
+    first = ranking[0] if ranking else None
+    if first is None or first.gain.elsewhere or not confirmed_here(first, options):
+        return None
+    if len(state.rated) + 2 > options.most_effects:
+        return None
+    beside = replace(
+        state.point, placed=tuple(p for p in state.point.placed if p is not first.instead_of)
+    )
+    alone = _State(
+        training.fit(replace(beside, placed=(*beside.placed, first.placed))),
+        {**_without_replaced(state, first), first.placed.effect.identity: first},
+        state.dropped,
+        (*state.not_taken, ()),
+    )
+    after = _with_best(alone, _ranking(alone, named, training, options), training, options)
+    if after is None:
+        return None
+    both = _without_idle(after, training, options)
+    return both if len(both.rated) == len(after.rated) > len(state.rated) + 1 else None
 
 
 def _with_another_choice(
@@ -159,15 +197,17 @@ def _with_best(
         point = training.fit(stayed)  # of a rival that stayed behind, it ended early
         lowered = before - missing_share(plain.at(point))
         if lowered.max() > options.least_force:
-            rated = {
-                key: r
-                for key, r in state.rated.items()
-                if first.instead_of is None or key != first.instead_of.effect.identity
-            }
+            rated = _without_replaced(state, first)
             others = _distinct_choices(state, rivals, rated, training, point, options)
             rated[chosen.placed.effect.identity] = chosen
             return _State(point, rated, state.dropped, (*state.not_taken, others))
     return None
+
+
+def _without_replaced(state: _State, first: Rated) -> dict[str, Rated]:
+    """Return the ratings of a state without that of the effect whose place a candidate takes."""
+    gone = None if first.instead_of is None else first.instead_of.effect.identity
+    return {key: r for key, r in state.rated.items() if key != gone}
 
 
 def _distinct_choices(

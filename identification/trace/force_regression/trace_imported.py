@@ -141,7 +141,7 @@ def _traced(
     places = records[0].places
     covered = extent(train)
     # Far below its resonance, an effect is a change of mass, stiffness and damping.
-    covered = replace(covered, fastest_hz=min(covered.fastest_hz, limit_hz / 2))
+    covered = replace(covered, fastest_hz=min(covered.fastest_hz, 2.0 * limit_hz))
 
     progress("fitting the declared model", 0.05)
     start = ForceModel(

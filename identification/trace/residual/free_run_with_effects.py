@@ -1,8 +1,8 @@
 """Simulate a record in free run with effects: the plant in its loop, without measurements.
 
-Effects depend on the trajectory that they change. Their forces are small, so a fixed-point
-iteration finds the trajectory: simulate with the effects along the last trajectory, evaluate them
-along the new one, until it converges.
+Effects depend on the trajectory that they change. A fixed-point iteration finds the trajectory:
+simulate with the effects along the last trajectory, evaluate them along the new one, until it
+converges.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from ..linearised.intersample_moments import force_moments
 from ..linearised.linearisation_point import WorkingPoint, corrected_experiment, filter_of, filtered
 from ..records.effect_signals import rate, trajectory
 from ..records.record_from_log import TraceRecord
-from .anderson_mixing import AndersonMixing
+from .fixed_point_iteration import AndersonMixing, DampedSteps
 
 Array = NDArray[np.float64]
 
-_MAX_ITERATIONS = 40
+_MAX_ITERATIONS = 60
 _SETTLED = 1e-2
-"""Rms change of the readings at convergence, in sensor noise standard deviations."""
-_KEPT = 10
-"""Steps that the next one is extrapolated from."""
+"""Rms change of the readings at convergence, over the sensors' noise or the simulation's error."""
+_KEPT = 60
+"""Steps that the next one is extrapolated from. A lightly damped mass on a spring takes as many."""
 
 
 @dataclass(frozen=True)
@@ -76,19 +76,34 @@ def free_run(
 
     Raises IdentificationError for a closed loop without a zero-order hold at the input.
     """
+    require_held(record.experiment, point.hold)
+    if not point.placed:
+        return _iterated(point, record, sensor_sd, DampedSteps())
+    run = _iterated(point, record, sensor_sd, DampedSteps())
+    if run.settled:
+        return run
+    # The jump of a friction converges in damped steps; a mass on a spring, a long memory, does not.
+    other = _iterated(point, record, sensor_sd, AndersonMixing(_KEPT))
+    return min(run, other, key=lambda r: (not r.settled, r.change))
+
+
+def _iterated(
+    point: WorkingPoint,
+    record: TraceRecord,
+    sensor_sd: Array | None,
+    steps: DampedSteps | AndersonMixing,
+) -> EffectFreeRun:
     e = record.experiment
-    require_held(e, point.hold)
     at = motion(point.model, e, point.hold)
     first = first_row(e)
     _, added = filtered(point, record, at)
     offset, state = _start(point, record, added, first)
     q_given = e.y if added.gap is None else e.y - added.gap @ record.places.decoupling.T
     at = settled(at, offset)
-    change = np.inf
+    sd = point.disturbance.sensor_sd if sensor_sd is None else sensor_sd
     q, u = _simulate(point, record, at, added, first, state, q_given)
     before: Signals | None = None
-    mixed = AndersonMixing(_KEPT)
-    sd = point.disturbance.sensor_sd if sensor_sd is None else sensor_sd
+    change, converged = np.inf, not point.placed
     for _ in range(_MAX_ITERATIONS if point.placed else 0):
         if not np.all(np.isfinite(q)):
             break
@@ -106,16 +121,20 @@ def free_run(
             )
             next_q, next_u = next_q + more_q, next_u + more_u
         step = (next_q - q) @ record.places.sensor_shape.T / sd
-        change = float(np.sqrt(np.mean(step**2)))
-        before = signals
-        if change < _SETTLED:
-            q, u = next_q, next_u
+        change, before = _rms(step), signals
+        error = _rms(((e.y - next_q) @ record.places.sensor_shape.T / sd)[first:])
+        converged = change < _SETTLED * max(error, 1.0)
+        q, u = steps.next((q, u), (next_q, next_u), step)
+        if converged:
             break
-        q, u = mixed.next((q, u), (next_q, next_u), step)
     gap = q @ record.places.sensor_shape.T
     if added.gap is not None:
         gap = gap + added.gap
-    return EffectFreeRun(gap, q, first, not point.placed or change < _SETTLED, change)
+    return EffectFreeRun(gap, q, first, converged, change)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _slopes(

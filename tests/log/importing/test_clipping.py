@@ -63,3 +63,16 @@ def test_remark_says_level_share_and_consequence():
     (remark, _) = clipping_remarks("y", "1", np.clip(NOISE, -1.5, 1.5), output=True)
     assert remark.startswith("y rests at its highest value, 1.5, in ")
     assert "end of its range" in remark
+
+
+def test_moves_that_end_at_rest_are_not_clipped_but_moves_that_are_cut_off_are() -> None:
+    """Point-to-point moves rest at their highest position, which they reach slowly."""
+    share = np.linspace(0.0, 1.0, 1500)
+    move = share - np.sin(2 * np.pi * share) / (2 * np.pi)  # begins and ends without speed
+    rest = np.ones(400)
+    position = np.concatenate([move, rest, 1.0 - 0.6 * move, 0.4 * rest, 0.4 + 0.6 * move, rest])
+    position = np.append(position, 1.0 - move)
+    noisy = position + np.random.default_rng(3).normal(0.0, 1e-4, len(position))
+    assert clipping_remarks("x", "m", noisy, output=True) == []
+    assert clipping_remarks("f", "N", noisy, output=False)  # of an input, speed tells nothing
+    assert clipping_remarks("x", "m", np.minimum(noisy, 0.7), output=True)

@@ -1,4 +1,4 @@
-"""Speed up a fixed-point iteration by extrapolation from its last steps (Anderson 1965)."""
+"""Choose the next x of a fixed-point iteration x = g(x): a damped step, or Anderson mixing."""
 
 from __future__ import annotations
 
@@ -9,14 +9,33 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_OSCILLATION_RATIO = 0.7
+_MIN_STEP = 0.1
+
+
+class DampedSteps:
+    """Take g(x), and half of the way to it once the residual no longer falls."""
+
+    def __init__(self) -> None:
+        self._last, self._share = np.inf, 1.0
+
+    def next(
+        self, at: Sequence[Array], image: Sequence[Array], residual: Array
+    ) -> tuple[Array, ...]:
+        """Return the next x from an x, its g(x), and their scaled difference."""
+        change = float(np.sqrt(np.mean(residual**2)))
+        if change > _OSCILLATION_RATIO * self._last:
+            self._share = max(0.5 * self._share, _MIN_STEP)
+        self._last = change
+        return tuple(a + self._share * (i - a) for a, i in zip(at, image, strict=True))
+
 
 class AndersonMixing:
     """Find x = g(x) where x = g(x) alone would oscillate or take many steps.
 
     The next x is the g of that combination of the last `kept` x whose residual g(x) - x is least,
     as if g were linear: for a linear g this is GMRES (Walker and Ni, *Anderson acceleration for
-    fixed-point iterations*, SIAM J. Numer. Anal. 49, 2011). If a residual grows, the older steps
-    are forgotten.
+    fixed-point iterations*, SIAM J. Numer. Anal. 49, 2011).
     """
 
     def __init__(self, kept: int) -> None:

@@ -145,8 +145,7 @@ def _law(law: FoundLaw) -> list[str]:
         how = effect.told_apart_by or "another excitation"
         lines.append(f"    these records do not tell its members apart; {how} would")
     if law.doubtful:
-        left = f"{100 * law.left_share:.2g} %"
-        lines.append(f"    in doubt: of the squared missing force without it, {left} is left")
+        lines.append(f"    in doubt: {'; '.join(law.doubts)}")
     if law.inexact:
         lines.append(f"    not exact: {law.inexact}")
     if law.laws:

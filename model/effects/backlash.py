@@ -54,6 +54,20 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 told_apart_by="two amplitudes of excitation: the kinks do not move",
             ),
             Effect(
+                "backlash.dead_zone_contact",
+                "Spring and damper with a gap (backlash)",
+                "backlash",
+                (dof,),
+                "force = -k (q - q0 - clip(q - q0, -half, half)) - c q' where |q - q0| > half",
+                (*stiffness, Quantity("c", f"{places.force_unit(i)} s/{unit}", 0.0)),
+                partial(_dead_zone_contact, dof=i),
+                (Quantity("q0", unit, middle - wide, middle + wide), half),
+                tuple((middle + m * wide, gap * reach) for m in _MIDDLES for gap in _GAPS),
+                absorbed_by="the part linear in the motion: declared stiffness and damping",
+                told_apart_by="two amplitudes of excitation: the kinks do not move",
+                contains={"backlash.dead_zone_spring": tuple},
+            ),
+            Effect(
                 "backlash.play",
                 "Play (backlash with hysteresis)",
                 "backlash",
@@ -74,6 +88,17 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 def _dead_zone_spring(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     away = signals.q[:, dof] - shape[0]
     return [on_dof(signals, dof, -(away - np.clip(away, -shape[1], shape[1])))]
+
+
+def _dead_zone_contact(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    speed = signals.qd[:, dof]
+    # The share of a row's time in which it touches, as it moves on by `way` meanwhile.
+    way = np.maximum(np.abs(speed) * signals.Ts_s, np.finfo(float).tiny)
+    touches = np.clip(0.5 + (np.abs(signals.q[:, dof] - shape[0]) - shape[1]) / way, 0.0, 1.0)
+    return [
+        *_dead_zone_spring(signals, shape, dof=dof),
+        on_dof(signals, dof, -touches * speed),
+    ]
 
 
 def _play(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

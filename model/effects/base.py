@@ -36,6 +36,21 @@ class Loads:
     squares: tuple[tuple[float, ...], ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A relative motion of DOF that a spring or damper of the model sees.
+
+    name: the motion in words. motion (n,): its change per change of each DOF. pull (n,): force on
+    each DOF per force of the joint.
+    """
+
+    name: str
+    motion: Array
+    pull: Array
+    unit: str
+    force_unit: str
+
+
 @dataclass(frozen=True)
 class Places:
     """DOF, actuators and sensors of a plant: the locations where effects can act.
@@ -69,6 +84,9 @@ class Places:
     input_motion: Array | None = None
     """Motion of each actuator per unit of pose (C, n), where it is not that of coil_shape: of an
     actuator that pushes one DOF, that DOF."""
+
+    joints: tuple[Joint, ...] = ()
+    """Relative motions of the DOF of an imported plant."""
 
     @property
     def coils(self) -> int:

@@ -20,6 +20,7 @@ from . import (
     magnetic_force,
     mass,
     motor_cogging,
+    relative_motion_laws,
     rotor,
     scale_and_arm_length,
     sensor_dynamic,
@@ -61,6 +62,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *motor_cogging.effects(places, covered),
         *magnetic_force.effects(places, covered),
         *actuator_nonlinearity.effects(places, covered),
+        *relative_motion_laws.effects(places, covered),
     ]
     found = resolved(found, covered.fastest_hz)
     for f_hz in covered.tones_hz:

@@ -38,7 +38,7 @@ class Extent:
     digits. resonances: bending pattern, frequency in Hz and damping ratio seen in the readings.
     dof_resonances: number of the DOF, frequency in Hz and damping ratio of masses on springs seen
     in forces and motion. beam_rates: largest speed and acceleration of the beam and largest speed
-    of the rotor.
+    of the rotor. joints: RMS deviation and speed, and middle, of each relative motion.
     """
 
     reach: tuple[float, ...]
@@ -58,6 +58,7 @@ class Extent:
     beam_rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
     dof_resonances: tuple[tuple[int, float, float], ...] = ()
     largest: tuple[float, ...] = ()
+    joints: tuple[tuple[float, float, float], ...] = ()
 
     def largest_command(self, coils: Sequence[int]) -> float:
         """Return the largest command of some actuators: inputs can have different units."""
@@ -90,6 +91,10 @@ class Extent:
         return cls(
             reach, speed, _TYPICAL_GAP, _TYPICAL_COMMAND, _TYPICAL_BEAM_M,
             stuck=tuple(range(places.sensors)),
+            joints=tuple(
+                (float(np.abs(j.motion) @ reach), float(np.abs(j.motion) @ speed), 0.0)
+                for j in places.joints
+            ),
         )  # fmt: skip
 
     @classmethod
@@ -124,7 +129,16 @@ class Extent:
             _beam_rates(records),
             dof_resonances,
             tuple(np.max([np.abs(r.coil).max(axis=0) for r in records], axis=0).tolist()),
+            tuple(_relative(records, j.motion[:, None]) for j in records[0].places.joints),
         )
+
+
+def _relative(records: Sequence[Signals], motion: Array) -> tuple[float, float, float]:
+    """Return RMS deviation and speed, and the middle, of a relative motion (n, 1)."""
+    reach = _liveliest([r.q @ motion for r in records])[0]
+    speed = _liveliest([r.qd @ motion for r in records])[0]
+    middle = float(np.concatenate([r.q @ motion for r in records]).mean())
+    return reach, speed, _rounded(middle, reach)
 
 
 def _commands(records: Sequence[Signals]) -> tuple[tuple[float, float], ...]:

@@ -65,9 +65,8 @@ def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
             text += " These records do not tell its members apart."
         if law.doubtful:
             text += (
-                " It is in doubt: of the squared missing force without it that a free form of all "
-                f"signals explains, {100 * law.left_share:.2g} % is left. If what is there is not "
-                "in the table, the best of the table takes something too."
+                f" It is in doubt: {'; '.join(law.doubts)}. If what is there is not in the table, "
+                "the best of the table takes something too."
             )
         if law.curve is not None and law.curve is not told:
             told = law.curve

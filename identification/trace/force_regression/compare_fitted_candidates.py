@@ -13,7 +13,7 @@ from ..search_options import SearchOptions
 from .force_record import ForceModel
 from .held_out_gain import Blocks, Columns, block_sums, bounded, error_of_mean
 from .rated_candidate import Rated, confirmed, missing_after
-from .training_records import Training
+from .training_records import Training, missing_share
 
 Array = NDArray[np.float64]
 
@@ -85,6 +85,13 @@ class _Fitted:
     ) -> _Fitted:
         """Fit the model with a candidate; not to the end if it stays far above the least cost."""
         point = training.fit(replace(beside, placed=(*beside.placed, rated.placed)), least)
+        return cls.at(point, rated, training, options)
+
+    @classmethod
+    def at(
+        cls, point: ForceModel, rated: Rated, training: Training, options: SearchOptions
+    ) -> _Fitted:
+        """Return a candidate that is the last effect of a fitted model."""
         at = training.at(point)
         groups = training.group_columns(at)
         columns = training.columns(at, groups)
@@ -97,6 +104,27 @@ class _Fitted:
         numbers = last.numbers - _idle_amplitudes(held, last.placed, options)
         cost, errors = training.cost(point), held.left_out_errors()
         return cls(last, point, cost, errors, tuple(left), numbers)
+
+
+def richer_matters(
+    richer: ForceModel,
+    simple: ForceModel,
+    rated: Rated,
+    training: Training,
+    options: SearchOptions,
+) -> bool:
+    """Return whether a law takes what an effect must take beside a simpler one in its place.
+
+    Each is the last effect of its fitted model. `rated`: the rating of the richer one.
+    """
+    one, other = (_Fitted.at(p, rated, training, options) for p in (richer, simple))
+    size = block_sums(training.blocks, [a - b for a, b in zip(one.left, other.left, strict=True)])
+    gain = bounded(other.errors - one.errors, size)
+    surely = gain.mean() > options.standard_errors * error_of_mean(gain, size)
+    share = float(gain.sum()) / max(float(other.errors.sum()), np.finfo(float).tiny)
+    plain = training.plain()
+    less = missing_share(plain.at(simple)) - missing_share(plain.at(richer))
+    return bool(surely and share > options.least_gain and less.max() > options.least_force)
 
 
 def _idle_amplitudes(held: Columns, placed: Placed, options: SearchOptions) -> int:

@@ -14,6 +14,7 @@ from ....config.model import EffectParameter, ModelConfig, ModelEffect
 from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from ...json_data import plain_json
+from ...subspace.response_uncertainty import SURE_95
 from .rated_candidate import Rated
 from .reported_errors import PooledError
 from .trace_imported import ForceTrace, pooled_errors
@@ -44,7 +45,8 @@ class FoundLaw:
     do not tell them apart. laws: other laws of the same class and place, not told apart either.
     left_share: share of the squared missing force without it that is left with it, of what a free
     form explains. least_gain: share that an effect must take. curve: free form of its signal that
-    surely improves on it, None without one.
+    surely improves on it, None without one. grew: whether the model with all effects misses more
+    force in the rows that neither fitted nor chose.
     """
 
     rated: Rated
@@ -55,14 +57,34 @@ class FoundLaw:
     left_share: float
     least_gain: float
     curve: Rated | None
+    grew: bool
 
     @property
     def doubtful(self) -> bool:
-        """Whether the name is uncertain: a law that is right leaves far less.
+        """Whether the name is uncertain."""
+        return bool(self.doubts)
 
-        If what is there is not in the table, the best law still explains a part of it.
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the name is uncertain, as sentences.
+
+        A law that is right leaves far less: if what is there is not in the table, the best law
+        still explains a part of it. A law of which no amplitude is told from zero has its shape at
+        the edge of what it can be, where it stands for another one.
         """
-        return not self.free and self.left_share > self.least_gain
+        if self.free:
+            return ()
+        amplitudes = [self.parameters[q.name] for q in self.placed.effect.amplitudes]
+        told = [p.se is None or abs(p.value) > SURE_95 * p.se for p in amplitudes]
+        left = f"{100 * self.left_share:.2g} %"
+        reasons = {
+            f"of the squared missing force without it, {left} is left": (
+                self.left_share > self.least_gain
+            ),
+            "no amplitude of it is told from zero": not any(told),
+            "the rows that neither fitted nor chose miss more force with what was found": self.grew,
+        }
+        return tuple(reason for reason, so in reasons.items() if so)
 
     @property
     def inexact(self) -> str:
@@ -314,6 +336,8 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         for p, own in zip(trace.found.point.placed, _parameters(trace), strict=True)
     }
     laws = []
+    before, after = (float(np.linalg.norm(e.force_percent)) for e in pooled_errors(trace))
+    grew = after > before
     known = {p.effect.identity for p in trace.found.point.placed}
     for rated, left in zip(trace.found.rated, trace.left_share, strict=True):
         own = _kind(rated)
@@ -323,7 +347,9 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         others = tuple(r for r in rivals if _kind(r) != own)
         own_values, least = values[rated.placed.effect.identity], trace.options.least_gain
         curve = trace.curves.get(rated.placed.effect.identity)
-        laws.append(FoundLaw(rated, own_values, rated.support, others, same, left, least, curve))
+        laws.append(
+            FoundLaw(rated, own_values, rated.support, others, same, left, least, curve, grew)
+        )
     return tuple(laws)
 
 
@@ -348,6 +374,7 @@ def _effect(law: FoundLaw) -> dict[str, Any]:
         "laws_not_told_apart": [_named(r) for r in law.laws],
         "left_share": law.left_share,
         "doubtful": law.doubtful,
+        "doubts": list(law.doubts),
         "curve": None
         if law.curve is None
         else {"signals": list(depends_on(law.curve.placed.effect)), "share": law.curve.share},

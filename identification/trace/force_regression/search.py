@@ -3,8 +3,9 @@
 One criterion decides whether an effect stays: the squared error that it takes of blocks that did
 not fit it is larger than its standard error by far, matters, and is not contradicted by another
 record. Among effects that the records do not tell apart the one with the fewest numbers is taken;
-the others are its alternatives. The laws of friction of one DOF exclude each other: a richer one
-takes the place of a simpler one if it is confirmed beside the model with the simpler one.
+the others are its alternatives. The laws of friction of one DOF exclude each other, and so do a law
+and a simpler one that it contains: a richer one takes the place of a simpler one if it is confirmed
+beside the model with the simpler one.
 """
 
 from __future__ import annotations
@@ -175,9 +176,8 @@ def _ranking(
     fresh = [e for e in table if e.identity not in state.dropped]
     ranking = rate(point, _new(fresh, point.placed), training, options)
     for p in point.placed:
-        if _rubs(p.effect):
-            same = [e for e in fresh if _rubs(e) and e.where == p.effect.where]
-            ranking += rate(point, same, training, options, p)
+        instead = [e for e in fresh if e != p.effect and _exclude(e, p.effect)]
+        ranking += rate(point, instead, training, options, p)
     return sorted(ranking, key=by_gain)
 
 
@@ -239,10 +239,18 @@ def _distinct_choices(
 
 def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
     """Return the effects of a table that may act beside those of a model."""
-    known = {p.effect.identity for p in placed}
-    rubbed = {w for p in placed if _rubs(p.effect) for w in p.effect.where}
-    fresh = [e for e in table if e.identity not in known]
-    return [e for e in fresh if not _rubs(e) or not rubbed.intersection(e.where)]
+    return [e for e in table if not any(_exclude(e, p.effect) for p in placed)]
+
+
+def _exclude(one: Effect, other: Effect) -> bool:
+    """Return whether two effects are one, two dry frictions of a place, or a law and a simpler one.
+
+    One of such laws may take the place of the other.
+    """
+    if one.where != other.where:
+        return False
+    nested = one.key in other.contains or other.key in one.contains or one.key == other.key
+    return nested or (_rubs(one) and _rubs(other))
 
 
 def _rubs(effect: Effect) -> bool:

@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ....model.effects.base import Effect, Placed
+from ....model.effects.base import Effect
 from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate
+from .compare_fitted_candidates import richer_matters
 from .force_record import ForceModel
 from .rated_candidate import Rated, confirmed, rated_beside
 from .search import Searched
@@ -31,7 +32,9 @@ def with_simpler_laws(
         own = next(p for p in point.placed if p.effect.identity == identity)
         for law, shape in own.effect.simpler(own.shape, named):
             kept = tuple(p for p in point.placed if p is not own)
-            taken = _as_good(replace(point, placed=kept), own, law, shape, training, options)
+            rest = replace(point, placed=kept)
+            rated = next(r for r in found.rated if r.placed.effect.identity == identity)
+            taken = _as_good(rest, replace(rated, placed=own), law, shape, training, options)
             if taken is not None:
                 found = _replaced(found, identity, *taken)
                 break
@@ -40,7 +43,7 @@ def with_simpler_laws(
 
 def _as_good(
     rest: ForceModel,
-    own: Placed,
+    richer: Rated,
     law: Effect,
     shape: tuple[float, ...],
     training: Training,
@@ -52,10 +55,11 @@ def _as_good(
         return None
     simple = training.fit(replace(rest, placed=(*rest.placed, placed)))
     less = simple.placed[-1]
+    whole = training.fit(replace(rest, placed=(*rest.placed, richer.placed)))
+    if richer_matters(whole, simple, richer, training, options):
+        return None
     without = replace(simple, placed=simple.placed[:-1])
     beside = Beside.of(without, training)
-    if confirmed(rated_beside(Beside.of(simple, training), beside, own, less), options):
-        return None
     rated = rated_beside(beside, beside, less, None)
     return (simple, rated) if confirmed(rated, options) else None
 

@@ -16,6 +16,7 @@ from ....log.reader import Log
 from ....model.effects.base import Places
 from ....model.effects.force_units import force_units
 from ....model.geometry import shape_matrix
+from ....model.relative_motion import joints
 from ...greybox.declared_model_from_config import declared_model
 from ...greybox.experiment.experiment_from_log import (
     Experiment,
@@ -188,9 +189,16 @@ def rig_places(geometry: Geometry, model: ModelConfig) -> Places:
 
 def imported_places(model: ModelConfig) -> Places:
     """Return the places of imported data: one actuator for each input, one sensor for each DOF."""
+    units = tuple(q.unit for q in model.dof)
+    forces = force_units(
+        model.B,
+        [q.unit for q in model.inputs],
+        {name: p.unit for name, p in model.parameters.items()},
+        len(model.dof),
+    )
     return Places(
         tuple(q.name for q in model.dof),
-        tuple(q.unit for q in model.dof),
+        units,
         np.eye(len(model.inputs)),
         np.eye(len(model.dof)),
         model.inputs[0].unit,
@@ -200,13 +208,9 @@ def imported_places(model: ModelConfig) -> Places:
         np.zeros((0, 2)),
         beam=False,
         input_names=tuple(q.name for q in model.inputs),
-        force_units=force_units(
-            model.B,
-            [q.unit for q in model.inputs],
-            {name: p.unit for name, p in model.parameters.items()},
-            len(model.dof),
-        ),
+        force_units=forces,
         input_motion=_input_motion(model),
+        joints=joints(declared_model(model), units, forces),
     )
 
 

@@ -67,9 +67,9 @@ class Imported:
 def import_file(data_path: Path, signals_path: Path, out_path: Path) -> Imported:
     """Write the log `out_path` from a data file and the SIGNALS.yaml that describes it.
 
-    The log's fields are cycle, time_s (from 0, by the rate) and the signals, float64, scaled to
-    their units. The SIGNALS.yaml becomes the attachment "signals.yaml". Equal files give equal
-    logs. Data with long gaps become several logs: LOG-1.mcap, LOG-2.mcap, ...
+    The log's fields are cycle, time_s (from `begins_s`, by the rate) and the signals, float64,
+    scaled to their units. The SIGNALS.yaml becomes the attachment "signals.yaml". Equal files give
+    equal logs. Data with long gaps become several logs: LOG-1.mcap, LOG-2.mcap, ...
 
     Raises:
         ConfigError: the SIGNALS.yaml is invalid.
@@ -215,7 +215,7 @@ def _rows(signals: SignalsFile, part: UniformPart, rate_hz: float) -> NDArray[np
     )
     rows = np.empty(len(part.values), dtype)
     rows["cycle"] = part.place + np.arange(rows.size)
-    rows["time_s"] = rows["cycle"] / rate_hz
+    rows["time_s"] = signals.begins_s + rows["cycle"] / rate_hz
     for column, value in zip(signals.columns, part.values.T, strict=True):
         rows[column.name] = value
     return rows

@@ -98,7 +98,9 @@ class SignalsFile(Strict):
     The file's suffix gives `format` if it is not set. `input_hold`: how the inputs behave between
     samples. `samples`: whether rows or columns of a matrix (NPZ, MAT) are samples. A column of role
     `time` gives the rate if `rate_hz` is not set. `resample`: interpolate irregular time stamps.
-    `loop`: the control loop; without it the inputs do not depend on the outputs.
+    `begins_s`: time of the first row since the session began; a trace searches drifts and
+    vibrations in records of one session that do not overlap. `loop`: the control loop; without it
+    the inputs do not depend on the outputs.
     """
 
     levid: Literal["signals"]
@@ -107,6 +109,7 @@ class SignalsFile(Strict):
     resample: bool = False
     format: Format | None = None
     rows: RowRange = RowRange()
+    begins_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     samples: Literal["rows", "columns"] = "rows"
     input_hold: Literal["zoh", "foh", "band_limited"] = "zoh"
     columns: Annotated[tuple[Column, ...], Field(min_length=1)]

@@ -25,7 +25,7 @@ _LATER = 1 / np.pi
 def overlap(records: Sequence[TraceRecord]) -> str:
     """Return two records that overlap in time, as text; empty if there are none.
 
-    Imported records and sessions all begin at 0, so the order of several is unknown.
+    Imported records begin at 0 unless their SIGNALS.yaml says when; so do sessions.
     """
     ordered = sorted(records, key=lambda r: float(r.time_s[0]))
     for before, after in pairwise(ordered):
@@ -56,7 +56,8 @@ def require_timeless(
         if _differs(p.effect, p.shape, now, later):
             raise IdentificationError(
                 f"the model's effect '{p.effect.name}' depends on session time: expected records "
-                f"that do not overlap, found {overlapping}; trace one session at a time"
+                f"that do not overlap, found {overlapping}; trace one session at a time, or state "
+                "begins_s in each SIGNALS.yaml"
             )
 
 

@@ -136,7 +136,8 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
     log, resampling_remarks = resample(log)
     if "signals.yaml" in log.attachments:
         remarks = (*experiment.contradictions, *experiment.remarks)
-        return replace(imported_trace_record(experiment, model), remarks=remarks)
+        time_s = log.field("time_s").astype(float)
+        return replace(imported_trace_record(experiment, model), time_s=time_s, remarks=remarks)
     at_limit = cycles_at_limit(log)
     if at_limit:
         remarks += (

@@ -45,5 +45,6 @@ def searched_effects(
         if timed:
             kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
             what = "effects that depend on session time"
-            notes = (f"{overlapping} overlap: {what} are not searched ({kinds})",)
+            remedy = "" if places.beam else "; state begins_s in each SIGNALS.yaml"
+            notes = (f"{overlapping} overlap: {what} are not searched ({kinds}){remedy}",)
     return SearchedEffects(tuple(named), tuple(free), notes)

@@ -13,6 +13,9 @@ from mcap_ros2.decoder import DecoderFactory
 from repository_folders import ROOT
 
 from levid.config.base import ConfigError, parse_text
+from levid.config.model import ModelConfig
+from levid.identification.trace.records.check_common_session_time import overlap
+from levid.identification.trace.records.record_from_log import trace_record
 from levid.log.errors import LogError
 from levid.log.importing import mat_file_reader
 from levid.log.importing.importer import import_file
@@ -28,6 +31,16 @@ BY_NAME = """columns:
   - {column: V2, name: y_v, unit: V, role: output}
 """
 BY_NUMBER = BY_NAME.replace("V1", "0").replace("V2", "1")
+ONE_DOF = """
+levid: model
+name: one
+dof: [{name: y_v, unit: V}]
+inputs: [{name: u_v, unit: V}]
+parameters: {m: {value: 1.0, unit: s^2, min: 0.1, max: 10}}
+M: [[m]]
+D: [[0]]
+K: [[1]]
+"""
 GOOD = [[1.0, -2.0], [0.5, 3e-3], [-1e3, 0.25]]
 
 
@@ -96,6 +109,21 @@ def test_scale_offset_and_rows(tmp_path):
     log = run(tmp_path, "9,9\n1,2\n3,4\n9,9\nno,number\n", signals)
     assert columns_of(log) == [[10.0, 1.0], [30.0, 3.0]]
     np.testing.assert_array_equal(log.field("time_s"), [0, 0.01])
+
+
+def test_records_of_one_session_follow_each_other(tmp_path):
+    """The trace searches drifts over several records only where these do not overlap in time."""
+    data = "V1,V2\n" + "1,2\n2,1\n" * 30
+    logs = []
+    for begin in (0.0, 12.5):
+        folder = tmp_path / f"{begin}"
+        folder.mkdir()
+        logs.append(run(folder, data, HEAD + f"begins_s: {begin}\n" + BY_NAME))
+    assert [log.rows["time_s"][0] for log in logs] == [0.0, 12.5]
+    assert logs[1].rows["time_s"][-1] == pytest.approx(13.09)
+    records = [trace_record(log, parse_text(ONE_DOF, ModelConfig, "one")) for log in logs]
+    assert overlap(records) == ""
+    assert overlap([records[0], records[0]])
 
 
 def npz(**variables):

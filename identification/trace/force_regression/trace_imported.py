@@ -41,6 +41,7 @@ from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
 from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
+from .scale_of_equations import with_told_scales
 from .search import Progress, Searched, search
 from .simpler_laws import with_simpler_laws
 from .training_records import Training, missing_share
@@ -149,7 +150,7 @@ def _traced(
         free_parameters(config),
         placed_effects(config.effects, places, covered),
     )
-    training, declared = _weighed(start, fitted, limit_hz, options)
+    training, declared, held = _weighed(start, fitted, limit_hz, options)
     table = searched_effects(effects, declared.placed, places, covered, overlap(records))
     free = [e for e in table.free if e.where[0] in places.dof]
     found = search(declared, table.named, free, training, options, progress)
@@ -182,7 +183,8 @@ def _traced(
     )
     return ForceTrace(
         config, places, declared, found, errors, before, after, 100.0 * form / force, left_share,
-        curves, sd, noise is not None, limit_hz, fitted, reported, (*notes, *table.notes), options,
+        curves, sd, noise is not None, limit_hz, fitted, reported,
+        (*notes, *held, *table.notes), options,
     )  # fmt: skip
 
 
@@ -214,13 +216,14 @@ def _left_share(
 
 def _weighed(
     start: ForceModel, fitted: tuple[ForceRecord, ...], limit_hz: float, options: SearchOptions
-) -> tuple[Training, ForceModel]:
-    """Return the training records with their weights, and the model fitted to them."""
+) -> tuple[Training, ForceModel, tuple[str, ...]]:
+    """Return the training records with their weights, the model fitted to them, and notes on it."""
     acting = np.concatenate([r.groups(start) for r in fitted], axis=1)
     flat = np.maximum(np.var(acting, axis=1).max(axis=0), np.finfo(float).tiny) * np.ones((2, 1))
     plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
     blocks = Blocks.of([r.rows for r in fitted], options.blocks)
     training = Training.unscaled(fitted, plain, blocks)
+    start, notes = with_told_scales(start, training, options.told_from_model)
     training = training.with_scale(training.at(start), options.told_from_model)
     point = training.first_fit(start)
     beside = Beside.of(point, training)
@@ -236,8 +239,9 @@ def _weighed(
     better = weighed.first_fit(point)
     flat_at, better_at = (training.plain().at(p) for p in (point, better))
     if np.any(missing_share(better_at) > options.much_left * missing_share(flat_at)):
-        return training, point  # the weights follow noise in the motion, not what is missing
-    return weighed, better
+        # The weights follow noise in the motion, not what is missing.
+        return training, point, notes
+    return weighed, better, notes
 
 
 def _training_below(

@@ -192,3 +192,14 @@ def test_rests_are_told_from_moves_and_turns() -> None:
     assert not moves[round(4.0 / TS) :].any()
     still: Callable[[float], Array] = lambda size: np.full((100, 1), size)  # noqa: E731
     assert moving_rows(still(0.0), sd, TS, hz, 0.05).all()  # nothing moves: nothing is left out
+
+
+def test_model_of_which_every_term_is_free_keeps_the_scale_of_its_input() -> None:
+    """An equation holds times any factor: all numbers are in proportion to the one that is held."""
+    free = STAGE.replace("fixed: true", "min: 0.1, max: 50")
+    trace = traced(free, [stage(10 + i, FRICTION, 0.0) for i in range(3)])
+    assert any("kf is held at 48" in note for note in trace.notes)
+    assert named(trace) == {("friction", ("x",), False)}
+    friction, _ = value(trace, "friction", "friction")
+    assert friction == pytest.approx(FRICTION * 48 / KF, rel=0.01)
+    assert trace.found.point.model.values["m"] == pytest.approx(M * 48 / KF, rel=0.01)

@@ -1,0 +1,76 @@
+"""Find equations whose terms are all free: no record tells their scale, so a parameter is held.
+
+An equation of motion holds times any factor. If every term of it has a free parameter, the fit may
+make all of them small together, with the force that the model lacks among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .force_record import ForceModel
+from .training_records import Evaluated, Training
+
+Array = NDArray[np.float64]
+
+
+def with_told_scales(
+    start: ForceModel, training: Training, told_from_model: float
+) -> tuple[ForceModel, tuple[str, ...]]:
+    """Return a model with known scales, and a note for each parameter that is held for it.
+
+    A parameter with a prior is held at its declared value, else what multiplies an input, else the
+    mass. The intervals of the others do not include the error of the one that is held.
+    """
+    point, notes = replace(start, placed=()), []
+    for i, dof in enumerate(start.model.dof):
+        at = training.at(point)
+        held = _parameter_to_hold(at, training.group_columns(at), i, told_from_model)
+        if held is not None:
+            name = point.parameters.names[held]
+            others = [k for k in range(len(point.parameters.names)) if k != held]
+            point = replace(point, parameters=point.parameters.only(others))
+            notes.append(
+                f"every term of the equation of {dof} has a free parameter, so that records do not "
+                f"tell its scale: {name} is held at {point.model.values[name]:.4g}, and all other "
+                "numbers are in proportion to it"
+            )
+    return replace(start, parameters=point.parameters), tuple(notes)
+
+
+def _parameter_to_hold(
+    at: Evaluated, changes: Sequence[Array], equation: int, told: float
+) -> int | None:
+    """Return the number of the parameter to hold for the scale of an equation, None if it is told.
+
+    changes: of the groups by each parameter, each record (F, 3, rows, n).
+    """
+    free = at.point.parameters
+    J = np.concatenate([c.reshape(len(c), -1) for c in changes], axis=1).T
+    n = len(at.power)
+    alone = np.eye(n)
+    whole = [np.concatenate([(g * keep).reshape(-1) for g in at.groups]) for keep in alone]
+    # The others may keep their forces, or scale as well.
+    beside = np.stack([w for k, w in enumerate(whole) if k != equation], axis=1) if n > 1 else None
+    columns = J if beside is None else np.hstack([J, beside])
+    size = np.linalg.norm(columns, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    target = whole[equation]
+    way = np.linalg.lstsq(columns / size, target, rcond=1e-9)[0]
+    left = target - columns / size @ way
+    if left @ left > told * float(target @ target):
+        return None
+    share = np.abs(way[: J.shape[1]])
+    known = share * np.isfinite(free.prior_sd)
+    if known.max() > 0.0:
+        return int(np.argmax(known))
+    kinds = np.stack([np.sum(c**2, axis=(2, 3)) for c in changes]).sum(axis=0)  # (F, 3)
+    for kind in (0, 1, 2):
+        own = share * (kinds[:, kind] == kinds.max(axis=1)) * (kinds[:, kind] > 0.0)
+        if own.max(initial=0.0) > 0.0:
+            return int(np.argmax(own))
+    return None

@@ -1,17 +1,14 @@
-"""Test the trace of moves that end at rest, held by dry friction, and of shafts that twist.
-
-The plants are integrated here, and stick as a real one does: at rest, friction balances any force
-up to its level.
-"""
+"""Test the trace of moves that end at rest, held by dry friction, and of shafts that twist."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import copysign, cos, pi, sin
+from math import pi
 
 import numpy as np
 import pytest
 
+from levid.benchmarks.trace.sticking_plants import TS, Shaft, Stage
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
@@ -22,7 +19,6 @@ from levid.identification.trace.records.record_from_log import imported_trace_re
 from levid.model.effects.candidate_effects import all_effects
 
 Array = np.ndarray
-TS, STEPS = 2e-3, 10
 
 STAGE = """
 levid: model
@@ -38,8 +34,8 @@ D: [[d]]
 K: [[0]]
 B: [[kf]]
 """
-M, D, KF, FRICTION = 3.2, 17.0, 40.0, 2.4
-PITCH, COGGING = 0.03, 1.9
+FRICTION = 2.4
+STICKS = Stage(friction=FRICTION)
 
 SHAFT = """
 levid: model
@@ -69,61 +65,6 @@ M: [[j]]
 D: [[d1]]
 K: [[0]]
 """
-J1, J2, D1, K, C, HALF = 9e-4, 1.1e-3, 2.4e-3, 20.0, 0.012, 5e-3
-
-
-def moves(seed: int, reach: float, rows: int) -> Array:
-    """Return set points (rows,): smooth moves between random places, each followed by a rest."""
-    rng = np.random.default_rng(seed)
-    found, at = [np.zeros(100)], 0.0
-    while sum(map(len, found)) < rows:
-        there, n = rng.uniform(-reach, reach), int(rng.uniform(120, 300))
-        s = np.linspace(0.0, 1.0, n)
-        found += [at + (there - at) * (10 * s**3 - 15 * s**4 + 6 * s**5), np.full(n, there)]
-        at = there
-    return np.concatenate(found)[:rows]
-
-
-def stage(seed: int, friction: float, cogging: float, rows: int = 5000) -> tuple[Array, Array]:
-    """Return currents and positions (rows, 1) of a stage that a PID controller moves."""
-    set_points = moves(seed, 0.08, rows)
-    u, y = np.zeros((rows, 1)), np.zeros((rows, 1))
-    x = v = integral = last = 0.0
-    h = TS / STEPS
-    for k in range(rows):
-        error = set_points[k] - x
-        integral += 1500.0 * TS * error
-        u[k] = current = (900.0 * error + integral + 40.0 * (error - last) / TS) / KF
-        y[k], last = x, error
-        for _ in range(STEPS):
-            force = KF * current - D * v + cogging * sin(2 * pi * x / PITCH + 0.4)
-            if v == 0.0 and abs(force) <= friction:
-                continue
-            after = v + h * (force - copysign(friction, v or force)) / M
-            v = 0.0 if friction and v * after < 0.0 else after
-            x += h * v
-    return u, y + np.random.default_rng(seed).normal(0.0, 3e-7, y.shape)
-
-
-def shaft(seed: int, half: float, rows: int = 5000) -> tuple[Array, Array]:
-    """Return torques (rows, 1) and both angles (rows, 2) of a motor that swings a load."""
-    rng = np.random.default_rng(seed)
-    hz, phase = rng.uniform(0.5, 18.0, 12), rng.uniform(0.0, 2 * pi, 12)
-    u, y = np.zeros((rows, 1)), np.zeros((rows, 2))
-    q1 = q2 = v1 = v2 = 0.0
-    h = TS / STEPS
-    for k in range(rows):
-        torque = 0.06 * sum(cos(2 * pi * f * k * TS + p) for f, p in zip(hz, phase, strict=True))
-        u[k], y[k] = torque - 0.05 * q1, (q1, q2)
-        for _ in range(STEPS):
-            twist = q1 - q2
-            touching = abs(twist) > half
-            contact = K * (twist - copysign(half, twist)) if touching else 0.0
-            contact += C * (v1 - v2) if touching or not half else 0.0
-            v1 += h * (u[k, 0] - D1 * v1 - contact) / J1
-            v2 += h * contact / J2
-            q1, q2 = q1 + h * v1, q2 + h * v2
-    return u, y + rng.normal(0.0, 2e-6, y.shape)
 
 
 def traced(text: str, flights: list[tuple[Array, Array]]) -> ForceTrace:
@@ -148,36 +89,39 @@ def value(trace: ForceTrace, effect_class: str, name: str) -> tuple[float, float
 @pytest.mark.parametrize("seed", [1, 2])
 def test_friction_that_holds_a_stage_at_rest_is_named(seed: int) -> None:
     """At rest its force follows the command, as a delay, a dead zone or a spring would have it."""
-    trace = traced(STAGE, [stage(10 * seed + i, FRICTION, 0.0) for i in range(3)])
+    trace = traced(STAGE, [STICKS.flown(10 * seed + i) for i in range(3)])
     assert named(trace) == {("friction", ("x",), False)}
     friction, _ = value(trace, "friction", "friction")
     # 1 % for the corners of its force, which the low-pass of the balance rounds.
     assert friction == pytest.approx(FRICTION, rel=0.01)
-    assert trace.found.point.model.values["kf"] == pytest.approx(KF, rel=0.01)
+    assert trace.found.point.model.values["kf"] == pytest.approx(STICKS.kf, rel=0.01)
     after = force_summary(trace)["validation"]["force_percent"]["after"]
     assert after < 1.5
 
 
 def test_two_effects_that_hide_each_other_are_both_named() -> None:
     """While both are missing, one record contradicts each of them, and a delay is left."""
-    trace = traced(STAGE, [stage(30 + i, FRICTION, COGGING) for i in range(3)])
+    plant = Stage(friction=FRICTION, cogging=1.9)
+    trace = traced(STAGE, [plant.flown(30 + i) for i in range(3)])
     assert named(trace) == {("friction", ("x",), False), ("cogging", ("x",), False)}
-    assert value(trace, "cogging", "pitch")[0] == pytest.approx(PITCH, rel=0.01)
+    assert value(trace, "cogging", "pitch")[0] == pytest.approx(plant.pitch, rel=0.01)
 
 
 def test_backlash_between_two_masses_is_named_at_their_relative_motion() -> None:
-    trace = traced(SHAFT, [shaft(40 + i, HALF) for i in range(3)])
+    plant = Shaft(half=5e-3)
+    trace = traced(SHAFT, [plant.flown(40 + i) for i in range(3)])
     assert named(trace) == {("backlash", ("q1 - q2",), False)}
-    assert value(trace, "backlash", "half")[0] == pytest.approx(HALF, rel=0.03)
-    assert trace.found.point.model.values["j2"] == pytest.approx(J2, rel=0.02)
+    assert value(trace, "backlash", "half")[0] == pytest.approx(plant.half, rel=0.03)
+    assert trace.found.point.model.values["j2"] == pytest.approx(plant.j2, rel=0.02)
 
 
 def test_shaft_that_twists_is_named_though_its_load_is_not_measured() -> None:
-    flights = [shaft(50 + i, 0.0) for i in range(3)]
+    plant = Shaft()
+    flights = [plant.flown(50 + i) for i in range(3)]
     trace = traced(MOTOR, [(u, y[:, :1]) for u, y in flights])
     assert ("flexible_mode", ("q1",), False) in named(trace)
     hz, _ = value(trace, "flexible_mode", "frequency")
-    assert hz == pytest.approx(np.sqrt(K / J2) / (2 * pi), rel=0.02)
+    assert hz == pytest.approx(np.sqrt(plant.k / plant.j2) / (2 * pi), rel=0.02)
 
 
 def test_rests_are_told_from_moves_and_turns() -> None:
@@ -197,9 +141,9 @@ def test_rests_are_told_from_moves_and_turns() -> None:
 def test_model_of_which_every_term_is_free_keeps_the_scale_of_its_input() -> None:
     """An equation holds times any factor: all numbers are in proportion to the one that is held."""
     free = STAGE.replace("fixed: true", "min: 0.1, max: 50")
-    trace = traced(free, [stage(10 + i, FRICTION, 0.0) for i in range(3)])
+    trace = traced(free, [STICKS.flown(10 + i) for i in range(3)])
     assert any("kf is held at 48" in note for note in trace.notes)
     assert named(trace) == {("friction", ("x",), False)}
     friction, _ = value(trace, "friction", "friction")
-    assert friction == pytest.approx(FRICTION * 48 / KF, rel=0.01)
-    assert trace.found.point.model.values["m"] == pytest.approx(M * 48 / KF, rel=0.01)
+    assert friction == pytest.approx(FRICTION * 48 / STICKS.kf, rel=0.01)
+    assert trace.found.point.model.values["m"] == pytest.approx(STICKS.m * 48 / STICKS.kf, rel=0.01)

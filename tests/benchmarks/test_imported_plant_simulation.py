@@ -97,7 +97,8 @@ def test_right_names_are_in_the_table_of_the_declared_model() -> None:
         config, _ = declared(PLANTS[plant](rng), rng, gain_off=False)
         places = imported_places(config)
         ones = (1.0,) * len(places.dof)
-        extent = Extent(ones, ones, 1.0, 1.0, 0.0, commands=((0.0, 1.0),) * places.coils)
+        commands, joints = ((0.0, 1.0),) * places.coils, ((1.0, 1.0, 0.0),) * len(places.joints)
+        extent = Extent(ones, ones, 1.0, 1.0, 0.0, commands=commands, joints=joints)
         known = {e.effect_class for e in all_effects(places, replace(extent, fastest_hz=100.0))}
         for law in some:
             assert set(LAWS[law].right) <= known

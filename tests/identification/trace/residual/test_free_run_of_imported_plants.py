@@ -84,6 +84,12 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
         (6.0,), (0.05, 0.1),
         lambda: lambda q, v, u: -6.0 * (q - 0.05 - min(max(q - 0.05, -0.1), 0.1)),
     ),
+    "backlash.dead_zone_contact": (
+        (6.0, 0.02), (0.05, 0.1),
+        lambda: lambda q, v, u: (
+            -6.0 * (q - 0.05 - min(max(q - 0.05, -0.1), 0.1)) - 0.02 * v * (abs(q - 0.05) > 0.1)
+        ),
+    ),
     "backlash.play": ((2.0,), (0.1,), lambda: Play(2.0, 0.1)),
     "cogging.position": (
         (0.3, 0.2), (0.4,),

@@ -43,7 +43,6 @@ _COMPUTE = (
 )
 """Tests that only compute, so that several of them may run at the same time."""
 _WAIT = (
-    "identification/trace/test_worker_pool",
     "report/session/test_session_page",
     "wire/can/test_local_bus",
     "wire/can/test_receive_thread",
@@ -54,7 +53,6 @@ _LONG = (
     "daemon/supervision/test_coil_check_at_lift_off",
     "daemon/test_flights_on_a_bus",
     "daemon/test_processes_killed",
-    "identification/trace/test_worker_pool",
 )
 """Tests that take minutes: `make test-long` and `.ci/run` run them."""
 

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Placed, Places, Quantity, Signals, Term, on_dof
-from .lag_and_hysteresis_recursions import oscillator
+from .lag_and_hysteresis_recursions import oscillator, smooth_oscillator
 from .operating_range import Extent
 from .point_force_conversion import forces
 
@@ -168,8 +168,5 @@ def _loose_mass(signals: Signals, shape: Sequence[float], *, dof: int) -> list[T
     q, qd = signals.q[:, dof], signals.qd[:, dof]
     w = 2 * np.pi * shape[0]
     stiff, damp = w * w, 2 * shape[1] * w
-    pull = stiff * q + damp * qd
-    # Holding the mean of a period's ends adds no delay.
-    mean = 0.5 * (pull + np.append(pull[1:], pull[-1]))
-    p = oscillator(mean, shape[0], shape[1], signals.Ts_s)
+    p = smooth_oscillator(stiff * q + damp * qd, shape[0], shape[1], signals.Ts_s)
     return [on_dof(signals, dof, stiff * (p[:, 0] - q) + damp * (p[:, 1] - qd))]

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof, on_sensor
-from .lag_and_hysteresis_recursions import oscillator
+from .lag_and_hysteresis_recursions import smooth_oscillator
 
 _PREFIX = "unknown.answer."
 _BEAM, _ARM = "x_b", "x_b*x_b"
@@ -107,8 +107,5 @@ def _filtered(signals: Signals, shape: Sequence[float], motion: str) -> tuple[Ar
     """Return the filter's position minus its input, and its speed over w (N,)."""
     w = 2 * np.pi * shape[0]
     q = signals.x_b_m if motion == _BEAM else signals.q[:, signals.places.dof.index(motion)]
-    # Holding the mean of a period's ends adds no delay.
-    x, rate = oscillator(
-        0.5 * w * w * (q + np.append(q[1:], q[-1])), shape[0], shape[1], signals.Ts_s
-    ).T
+    x, rate = smooth_oscillator(w * w * q, shape[0], shape[1], signals.Ts_s).T
     return x - q, rate / w

@@ -129,7 +129,8 @@ def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Part, ...]:
             "missing-force",
             to_svg(missing_force(trace)),
             "Force of the inputs and missing force over time",
-            "Missing force before and after, without its mean, on rows that only report.",
+            "Missing force before and after, without its mean, on rows that only report; 0 where "
+            "the DOF rests.",
         ),
         Table(
             "Errors of all reported rows: missing force over the inputs' force, free-run error "

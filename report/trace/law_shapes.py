@@ -88,7 +88,12 @@ def _fitted_and_measured(
 
 
 def _signals(trace: ForceTrace) -> Iterator[tuple[str, str, Array]]:
-    """Yield name, unit and samples of all records' positions, speeds and commands."""
+    """Yield name, unit and samples of all records' positions, speeds and commands, and of the
+    relative positions and speeds at joints."""
+    for joint in trace.places.joints:
+        for order, name, unit in ((0, joint.name, joint.unit), (1, "", f"{joint.unit}/s")):
+            values = np.concatenate([r.kept[order] @ joint.motion for r in trace.fitted])
+            yield name or f"({joint.name})'", unit, values
     for i, (name, unit) in enumerate(zip(trace.places.dof, trace.places.dof_units, strict=True)):
         yield name, unit, np.concatenate([r.kept[0][:, i] for r in trace.fitted])
         yield f"{name}'", f"{unit}/s", np.concatenate([r.kept[1][:, i] for r in trace.fitted])

@@ -155,8 +155,8 @@ class ForceOutcome:
             parts.append(f"no known law, described by a free form: {', '.join(forms)}")
         if not parts:
             parts.append("no effect is confirmed")
-        if self.nearest:
-            parts.append(self.nearest)
+            if self.nearest:
+                parts.append(self.nearest)
         return "; ".join([*parts, self.rest])
 
     @property

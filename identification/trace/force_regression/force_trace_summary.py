@@ -14,7 +14,6 @@ from ....config.model import EffectParameter, ModelConfig, ModelEffect
 from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from ...json_data import plain_json
-from ...subspace.response_uncertainty import SURE_95
 from .rated_candidate import Rated
 from .reported_errors import PooledError
 from .trace_imported import ForceTrace, pooled_errors
@@ -46,7 +45,8 @@ class FoundLaw:
     left_share: share of the squared missing force without it that is left with it, of what a free
     form explains. least_gain: share that an effect must take. curve: free form of its signal that
     surely improves on it, None without one. grew: whether the model with all effects misses more
-    force in the rows that neither fitted nor chose.
+    force in the rows that neither fitted nor chose. surely: standard errors from which on a number
+    is told from zero.
     """
 
     rated: Rated
@@ -58,6 +58,7 @@ class FoundLaw:
     least_gain: float
     curve: Rated | None
     grew: bool
+    surely: float
 
     @property
     def doubtful(self) -> bool:
@@ -75,7 +76,7 @@ class FoundLaw:
         if self.free:
             return ()
         amplitudes = [self.parameters[q.name] for q in self.placed.effect.amplitudes]
-        told = [p.se is None or abs(p.value) > SURE_95 * p.se for p in amplitudes]
+        told = [p.se is None or abs(p.value) > self.surely * p.se for p in amplitudes]
         left = f"{100 * self.left_share:.2g} %"
         reasons = {
             f"of the squared missing force without it, {left} is left": (
@@ -345,10 +346,20 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         rivals = [r for r in rated.alternatives if r.placed.effect.identity not in known]
         same = tuple(r for r in rivals if _kind(r) == own)
         others = tuple(r for r in rivals if _kind(r) != own)
-        own_values, least = values[rated.placed.effect.identity], trace.options.least_gain
-        curve = trace.curves.get(rated.placed.effect.identity)
+        own_values = values[rated.placed.effect.identity]
         laws.append(
-            FoundLaw(rated, own_values, rated.support, others, same, left, least, curve, grew)
+            FoundLaw(
+                rated,
+                own_values,
+                rated.support,
+                others,
+                same,
+                left,
+                trace.options.least_gain,
+                trace.curves.get(rated.placed.effect.identity),
+                grew,
+                trace.options.standard_errors,
+            )
         )
     return tuple(laws)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -154,7 +155,7 @@ def fitted_candidate(
 
 def flat(columns: Sequence[Array]) -> Array:
     """Return columns of records (c, rows, n) as one matrix (rows of all records, c)."""
-    return np.asarray(np.hstack([c.reshape(len(c), -1) for c in columns]).T)
+    return np.asarray(np.hstack([c.reshape(len(c), math.prod(c.shape[1:])) for c in columns]).T)
 
 
 def _amplitudes(

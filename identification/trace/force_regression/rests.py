@@ -17,9 +17,10 @@ def moving_rows(
 ) -> NDArray[np.bool_]:
     """Return where each DOF moves (N, n).
 
-    speed (N, n): below `speed_hz`, of outputs with white noise of deviation sd (n,). memory_s: what
-    passes a low-pass of this memory counts only if no part of it is of a rest. A DOF that moves in
-    no row is taken to move in all.
+    speed (N, n): per s, below `speed_hz`, of outputs with white noise of deviation sd (n,).
+    memory_s: memory of the low-pass of the force balance. A rest is longer than that, a turn is
+    not; rows within half of it of a rest count as rest. A DOF that moves in no row is taken to move
+    in all.
     """
     noise = sd * 2.0 * np.pi * np.sqrt(2.0 * Ts_s * speed_hz**3 / 3.0)
     memory = max(round(memory_s / Ts_s), 1)

@@ -50,16 +50,16 @@ def _parameter_to_hold(
     changes: of the groups by each parameter, each record (F, 3, rows, n).
     """
     free = at.point.parameters
+    if not free.names:
+        return None
     J = np.concatenate([c.reshape(len(c), -1) for c in changes], axis=1).T
-    n = len(at.power)
-    alone = np.eye(n)
-    whole = [np.concatenate([(g * keep).reshape(-1) for g in at.groups]) for keep in alone]
-    # The others may keep their forces, or scale as well.
-    beside = np.stack([w for k, w in enumerate(whole) if k != equation], axis=1) if n > 1 else None
-    columns = J if beside is None else np.hstack([J, beside])
+    of_each = np.eye(len(at.power))
+    whole = [np.concatenate([(g * one).reshape(-1) for g in at.groups]) for one in of_each]
+    target = whole.pop(equation)
+    # The other equations may keep their forces, or scale as well.
+    columns = np.column_stack([J, *whole])
     size = np.linalg.norm(columns, axis=0)
     size = np.where(size > 0.0, size, 1.0)
-    target = whole[equation]
     way = np.linalg.lstsq(columns / size, target, rcond=1e-9)[0]
     left = target - columns / size @ way
     if left @ left > told * float(target @ target):

@@ -141,7 +141,8 @@ def _traced(
     )
     places = records[0].places
     covered = extent(train)
-    # Far below its resonance, an effect is a change of mass, stiffness and damping.
+    # A resonance shows below its frequency as compliance: at half of it, a quarter of the mass's
+    # force. Farther below it is a change of mass, stiffness and damping.
     covered = replace(covered, fastest_hz=min(covered.fastest_hz, 2.0 * limit_hz))
 
     progress("fitting the declared model", 0.05)

@@ -213,6 +213,8 @@ class Training:
         rival: cost of a model that this one must reach to matter. The fit ends early once its steps
         have become a tenth of the way to there, as they become shorter still.
         """
+        if not point.parameters.names and not point.placed:
+            return point
         squares, begin = self.cost(point), point
         for _ in range(_STEPS):
             step = self._step(point, _way(begin, point))
@@ -348,7 +350,7 @@ def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[n
     """
     found = []
     for i in range(len(at.power)):
-        J = np.hstack([c[..., i].reshape(len(c), -1) for c in changes]).T
+        J = np.hstack([c[..., i].reshape(len(c), c.shape[1] * c.shape[2]) for c in changes]).T
         force = np.concatenate([g[..., i].reshape(-1) for g in at.groups])
         left = _beside(J, force)
         found.append(left @ left <= told * float(force @ force))

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
-from .force_units import unit_power
+from .force_units import per_unit
 from .operating_range import Extent
 from .point_force_conversion import heights
 
@@ -45,7 +45,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             ("quadratic", "Quadratic nonlinearity of an actuator", "force = F + a F^2", 2),
             ("cubic", "Cubic nonlinearity of an actuator", "force = F + a F^3", 3),
         ):
-            per = f"1/{unit_power(unit, power - 1)}"
+            per = per_unit(unit, power - 1)
             found.append(
                 Effect(
                     f"actuator.{name}",

@@ -9,6 +9,7 @@ from . import (
     beam,
     beam_bearing_presliding,
     beam_friction_and_cogging,
+    characteristic_after_lag,
     coil_drift,
     coil_gain,
     coil_limits,
@@ -62,6 +63,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *motor_cogging.effects(places, covered),
         *magnetic_force.effects(places, covered),
         *actuator_nonlinearity.effects(places, covered),
+        *characteristic_after_lag.effects(places, covered),
         *relative_motion_laws.effects(places, covered),
     ]
     found = resolved(found, covered.fastest_hz)

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
-from .force_units import unit_power
+from .force_units import per_unit
 from .lag_and_hysteresis_recursions import heat
 
 _WARM_S = 40.0
@@ -70,7 +70,7 @@ def effects(places: Places) -> list[Effect]:
                 where,
                 "force = (1 - a heat) F, heat' = (F^2 - heat) / tau; heat = 0 and F as in the "
                 "first row from `before` the session's first record on",
-                (Quantity("a", f"1/{unit_power(unit, 2)}"),),
+                (Quantity("a", per_unit(unit, 2)),),
                 partial(_with_heat, coils=coils),
                 (
                     Quantity("tau", "s", 0.5, 1000.0, log=True),

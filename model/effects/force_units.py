@@ -32,6 +32,11 @@ def unit_power(unit: str, power: int) -> str:
     return single if power == 1 else f"{single}^{power}"
 
 
+def per_unit(unit: str, power: int) -> str:
+    """Return one over a unit to a power; of a number without a unit that is 1."""
+    return "1" if unit == "1" else f"1/{unit_power(unit, power)}"
+
+
 def _unit_of(
     row: Sequence[float | str], input_units: Sequence[str], parameter_units: Mapping[str, str]
 ) -> str:

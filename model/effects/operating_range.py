@@ -38,7 +38,8 @@ class Extent:
     digits. resonances: bending pattern, frequency in Hz and damping ratio seen in the readings.
     dof_resonances: number of the DOF, frequency in Hz and damping ratio of masses on springs seen
     in forces and motion. beam_rates: largest speed and acceleration of the beam and largest speed
-    of the rotor. joints: RMS deviation and speed, and middle, of each relative motion.
+    of the rotor. joints: RMS deviation and speed, and middle, of each relative motion. lagging:
+    whether the model has a lag, None if that is not known.
     """
 
     reach: tuple[float, ...]
@@ -59,6 +60,7 @@ class Extent:
     dof_resonances: tuple[tuple[int, float, float], ...] = ()
     largest: tuple[float, ...] = ()
     joints: tuple[tuple[float, float, float], ...] = ()
+    lagging: bool | None = None
 
     def largest_command(self, coils: Sequence[int]) -> float:
         """Return the largest command of some actuators: inputs can have different units."""

@@ -62,9 +62,7 @@ class _Fitted:
     """A candidate where the fit of the whole model with it ends.
 
     errors (B,): squared error of each block by the fit of all others, with the candidate's shape
-    held. left: what remains of the weighed missing force of each record (rows, n). numbers: of the
-    candidate, without amplitudes that the blocks do not ask for: where a weight hangs in the zero
-    of the angle, its law has one.
+    held. left: what remains of the weighed missing force of each record (rows, n).
     """
 
     rated: Rated
@@ -72,7 +70,14 @@ class _Fitted:
     cost: float
     errors: Array
     left: tuple[Array, ...]
-    numbers: int
+
+    @property
+    def numbers(self) -> int:
+        """Numbers of the candidate, without amplitudes that the blocks do not ask for.
+
+        Where a weight hangs in the zero of the angle, its law has one.
+        """
+        return self.rated.numbers - self.rated.idle
 
     @classmethod
     def of(
@@ -101,9 +106,9 @@ class _Fitted:
         kept = len(columns[0]) - len(last.placed.shape)
         held = judged.only(range(kept))
         left = missing_after(held.coefficients(), [c[:kept] for c in columns], at.missing)
-        numbers = last.numbers - _idle_amplitudes(held, last.placed, options)
+        last = replace(last, idle=_idle_amplitudes(held, last.placed, options))
         cost, errors = training.cost(point), held.left_out_errors()
-        return cls(last, point, cost, errors, tuple(left), numbers)
+        return cls(last, point, cost, errors, tuple(left))
 
 
 def richer_matters(

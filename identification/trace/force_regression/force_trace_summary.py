@@ -45,8 +45,8 @@ class FoundLaw:
     left_share: share of the squared missing force without it that is left with it, of what a free
     form explains. least_gain: share that an effect must take. curve: free form of its signal that
     surely improves on it, None without one. grew: whether the model with all effects misses more
-    force in the rows that neither fitted nor chose. surely: standard errors from which on a number
-    is told from zero.
+    force in the rows that neither fitted nor chose. told: whether the force of one of its
+    amplitudes is told from zero.
     """
 
     rated: Rated
@@ -58,7 +58,7 @@ class FoundLaw:
     least_gain: float
     curve: Rated | None
     grew: bool
-    surely: float
+    told: bool
 
     @property
     def doubtful(self) -> bool:
@@ -75,14 +75,12 @@ class FoundLaw:
         """
         if self.free:
             return ()
-        amplitudes = [self.parameters[q.name] for q in self.placed.effect.amplitudes]
-        told = [p.se is None or abs(p.value) > self.surely * p.se for p in amplitudes]
         left = f"{100 * self.left_share:.2g} %"
         reasons = {
             f"of the squared missing force without it, {left} is left": (
                 self.left_share > self.least_gain
             ),
-            "no amplitude of it is told from zero": not any(told),
+            "no amplitude of it is told from zero": not self.told,
             "the rows that neither fitted nor chose miss more force with what was found": self.grew,
         }
         return tuple(reason for reason, so in reasons.items() if so)
@@ -336,10 +334,15 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         p.effect.identity: own
         for p, own in zip(trace.found.point.placed, _parameters(trace), strict=True)
     }
+    errors = {
+        p.effect.identity: own
+        for p, own in zip(trace.found.point.placed, trace.force_errors, strict=True)
+    }
     laws = []
     before, after = (float(np.linalg.norm(e.force_percent)) for e in pooled_errors(trace))
     grew = after > before
     known = {p.effect.identity for p in trace.found.point.placed}
+    surely = trace.options.standard_errors
     for rated, left in zip(trace.found.rated, trace.left_share, strict=True):
         own = _kind(rated)
         # What was found later besides is no alternative any more.
@@ -358,7 +361,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.options.least_gain,
                 trace.curves.get(rated.placed.effect.identity),
                 grew,
-                trace.options.standard_errors,
+                bool(np.any(surely * errors[rated.placed.effect.identity] < 1.0)),
             )
         )
     return tuple(laws)

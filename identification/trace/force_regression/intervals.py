@@ -3,46 +3,102 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ....model.effects.base import Placed
 from ...subspace.response_uncertainty import SURE_95
 from .candidate_fit import flat
-from .force_record import ForceModel
+from .force_record import ForceModel, ForceRecord
 from .training_records import Training
 
 Array = NDArray[np.float64]
 
+_DIFFERENCE = 1e-4
+"""Half step of the central differences, as a share of a parameter's scale."""
 
-def standard_errors(point: ForceModel, training: Training, others: Sequence[Training]) -> Array:
-    """Return the standard error of each free number of a fitted model (F + effects').
 
-    The numbers are parameters, then amplitudes and shapes of each effect. Errors come from the
-    scatter of blocks (what a model lacks is coloured, and correlates with its columns), and from
-    the largest change by a fit to `others`: in another band, or with more noise in the motion.
+@dataclass(frozen=True)
+class Uncertainty:
+    """How well the numbers of a fitted model are known: parameters, then effects' numbers.
+
+    covariance (K, K): by the scatter of blocks; what a model lacks is coloured, and correlates with
+    its columns. moved (L, K): changes by fits to other records: in another band, or with more noise
+    in the motion; none if L is 0.
     """
-    at = training.at(point)
-    groups = training.group_columns(at)
-    columns = training.columns(at, groups)
-    size = np.linalg.norm(flat(columns), axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    grams = training.judged(at, columns, groups)
-    scale = np.append(size, 1.0)
-    blocks = grams.grams.sum(axis=1) / scale[:, None] / scale
-    prior = grams.prior / scale[:, None] / scale
-    inner = blocks.sum(axis=0)[:-1, :-1] + prior[:-1, :-1]
-    scores = blocks[:, :-1, -1]
-    scores = scores - scores.mean(axis=0)
-    count = len(scores)
-    inverse = np.linalg.pinv(inner, rcond=1e-10, hermitian=True)
-    middle = scores.T @ scores * (count / max(count - 1, 1)) + prior[:-1, :-1]
-    se = np.sqrt(np.maximum(np.diag(inverse @ middle @ inverse), 0.0)) / size
-    unit = np.concatenate([point.parameters.scale, np.ones(len(se) - len(point.values))])
-    se = se * unit
-    moved = [np.abs(numbers(other.fit(point)) - numbers(point)) for other in others]
-    spread = np.max(moved, axis=0) if moved else np.zeros(len(se))
-    return np.asarray(np.hypot(se, spread / SURE_95))
+
+    covariance: Array
+    moved: Array
+
+    @classmethod
+    def of(cls, point: ForceModel, training: Training, others: Sequence[Training]) -> Uncertainty:
+        """Return the uncertainty of a model that was fitted to `training`."""
+        at = training.at(point)
+        groups = training.group_columns(at)
+        columns = training.columns(at, groups)
+        size = np.linalg.norm(flat(columns), axis=0)
+        size = np.where(size > 0.0, size, 1.0)
+        grams = training.judged(at, columns, groups)
+        scale = np.append(size, 1.0)
+        blocks = grams.grams.sum(axis=1) / scale[:, None] / scale
+        prior = grams.prior / scale[:, None] / scale
+        inner = blocks.sum(axis=0)[:-1, :-1] + prior[:-1, :-1]
+        scores = blocks[:, :-1, -1]
+        scores = scores - scores.mean(axis=0)
+        count = len(scores)
+        inverse = np.linalg.pinv(inner, rcond=1e-10, hermitian=True)
+        middle = scores.T @ scores * (count / max(count - 1, 1)) + prior[:-1, :-1]
+        unit = np.concatenate([point.parameters.scale, np.ones(len(size) - len(point.values))])
+        covariance = inverse @ middle @ inverse * np.outer(unit / size, unit / size)
+        moved = [numbers(other.fit(point)) - numbers(point) for other in others]
+        return cls(covariance, np.array(moved).reshape(len(moved), len(size)))
+
+    def standard_errors(self, gradients: Array | None = None) -> Array:
+        """Return the standard error of each number (K,), or of what has the gradients (., K)."""
+        g = np.eye(len(self.covariance)) if gradients is None else gradients
+        variances = np.einsum("ij,jk,ik->i", g, self.covariance, g)
+        spread = np.abs(self.moved @ g.T).max(axis=0, initial=0.0)
+        return np.asarray(np.hypot(np.sqrt(np.maximum(variances, 0.0)), spread / SURE_95))
+
+
+def relative_force_errors(
+    point: ForceModel, records: Sequence[ForceRecord], uncertainty: Uncertainty
+) -> list[Array]:
+    """Return the relative standard errors of the forces of each effect's amplitudes, by effect.
+
+    That of an addition to a command is a product with the gain of the input: a propeller with a
+    purely squared thrust has no other gain, so that neither is told from zero, but the product is.
+    """
+    count, found, first = len(numbers(point)), [], len(point.values)
+    for p in point.placed:
+        gradients = np.zeros((len(p.amplitudes), count))
+        for i, name in enumerate(point.parameters.names):
+            if name not in point.model.lag.names | point.model.delay.names:
+                ends = []
+                for sign in (1.0, -1.0):
+                    values = point.values
+                    values[i] += sign * _DIFFERENCE * point.parameters.scale[i]
+                    ends.append(np.log(_sizes(point.with_values(values), p, records)))
+                step = 2.0 * _DIFFERENCE * point.parameters.scale[i]
+                gradients[:, i] = (ends[0] - ends[1]) / step
+        amplitudes = np.array(p.amplitudes)
+        here = first + np.arange(len(amplitudes))
+        gradients *= amplitudes[:, None]
+        gradients[np.arange(len(amplitudes)), here] += 1.0
+        errors = uncertainty.standard_errors(gradients)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found.append(np.where(errors > 0.0, errors / np.abs(amplitudes), 0.0))
+        first += len(amplitudes) + len(p.shape)
+    return found
+
+
+def _sizes(point: ForceModel, placed: Placed, records: Sequence[ForceRecord]) -> Array:
+    """Return the size of the force of one unit of each amplitude of an effect."""
+    forces = [r.effect_forces(point.model, placed.effect, placed.shape) for r in records]
+    squares = np.sum([np.sum(f**2, axis=(1, 2)) for f in forces], axis=0)
+    return np.asarray(np.sqrt(np.maximum(squares, np.finfo(float).tiny)))
 
 
 def numbers(point: ForceModel) -> Array:

@@ -25,7 +25,8 @@ class Rated:
     force: by how much it lowers the RMS missing force over the acting force, at the DOF where that
     is most. instead_of: the effect whose place it takes. contenders: all that were fitted in the
     same round. `alternatives` are not told apart from it. support: share of bootstrap samples of
-    the blocks in which one of its class and place gains most of all.
+    the blocks in which one of its class and place gains most of all. idle: how many of its
+    amplitudes could be zero, each by itself, where the fit of the whole model with it ends.
     """
 
     placed: Placed
@@ -35,6 +36,7 @@ class Rated:
     support: float = float("nan")
     alternatives: tuple[Rated, ...] = ()
     contenders: tuple[Effect, ...] = ()
+    idle: int = 0
 
     @property
     def share(self) -> float:

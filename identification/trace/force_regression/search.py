@@ -222,7 +222,10 @@ def _distinct_choices(
 
     That is the one with the fewest numbers. Those that leave about as much as the model that was
     `taken` are left out: they are the same choice. The difference is less than an effect must take.
+    A law that could do without one of its amplitudes is the choice of a simpler one that it
+    contains.
     """
+    rivals = [(r, p) for r, p in rivals if not (r.idle and r.placed.effect.contains)]
     groups: list[tuple[float, list[tuple[Rated, ForceModel]]]] = [(training.cost(taken), [])]
     costs = sorted((training.cost(point), i) for i, (_, point) in enumerate(rivals))
     for cost, i in costs:

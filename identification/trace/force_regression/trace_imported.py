@@ -36,7 +36,7 @@ from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
 from .held_out_gain import Blocks
-from .intervals import standard_errors
+from .intervals import Uncertainty, relative_force_errors
 from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
 from .residual_whitening import Whitening, whitening_of
@@ -58,7 +58,8 @@ class ForceTrace:
     """The result of a trace of imported records.
 
     declared: the refitted model without new effects; found: the search's result; errors: standard
-    errors of its numbers. before, after: errors on the reported rows. free_form (n,): what a free
+    errors of its numbers; force_errors: relative ones of the forces of each effect's amplitudes, in
+    the point's order. before, after: errors on the reported rows. free_form (n,): what a free
     form of all signals leaves of the acting force in the fitted rows, in per cent, nan where all
     terms of an equation are free. left_share: for each effect found, the share of the squared
     missing force without it that is left with it, of what such a form explains. curves: free
@@ -72,6 +73,7 @@ class ForceTrace:
     declared: ForceModel
     found: Searched
     errors: Array
+    force_errors: Sequence[Array]
     before: tuple[ReportedError, ...]
     after: tuple[ReportedError, ...]
     free_form: Array
@@ -144,10 +146,13 @@ def _traced(
     # A resonance shows below its frequency as compliance: at half of it, a quarter of the mass's
     # force. Farther below it is a change of mass, stiffness and damping.
     covered = replace(covered, fastest_hz=min(covered.fastest_hz, 2.0 * limit_hz))
+    model = declared_model(config)
+    lagging = bool(model.lag.names) or model.lag({}) > 0.0
+    covered = replace(covered, lagging=lagging)
 
     progress("fitting the declared model", 0.05)
     start = ForceModel(
-        declared_model(config),
+        model,
         free_parameters(config),
         placed_effects(config.effects, places, covered),
     )
@@ -166,7 +171,8 @@ def _traced(
     noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
     more = np.sqrt(2.0) * sd
     others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
-    errors = standard_errors(found.point, training, others)
+    uncertainty = Uncertainty.of(found.point, training, others)
+    told = relative_force_errors(found.point, fitted, uncertainty)
     whole = Beside.of(found.point, training)
     left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
     form = np.where(training.all_free, np.nan, _rms(left))
@@ -183,8 +189,8 @@ def _traced(
         for point in (declared, found.point)
     )
     return ForceTrace(
-        config, places, declared, found, errors, before, after, 100.0 * form / force, left_share,
-        curves, sd, noise is not None, limit_hz, fitted, reported,
+        config, places, declared, found, uncertainty.standard_errors(), told, before, after,
+        100.0 * form / force, left_share, curves, sd, noise is not None, limit_hz, fitted, reported,
         (*notes, *held, *table.notes), options,
     )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,7 +18,7 @@ from levid.identification.trace.records.record_from_log import imported_places
 from levid.model.effects.base import Effect, Placed, Places, Signals
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.effect_serialization import placed_effects
-from levid.model.effects.lag_and_hysteresis_recursions import lagged_mean
+from levid.model.effects.lag_and_hysteresis_recursions import lagged_mean, lagged_within
 from levid.model.effects.operating_range import Extent
 
 MODEL = """
@@ -46,6 +47,10 @@ KEYS = (
     "actuator.cubic",
     "actuator.times_speed",
     "actuator.quantised",
+    "actuator.squared_after_lag",
+    "actuator.quadratic_after_lag",
+    "actuator.squared_with_lag",
+    "actuator.quadratic_with_lag",
 )  # fmt: skip
 EACH = pytest.mark.parametrize("key", KEYS)
 Law = Callable[..., np.ndarray]
@@ -181,6 +186,24 @@ def times_speed(q, v, F, a):
     return a * F * (v[later] + v[last]) / 2
 
 
+def with_lag(signed: bool) -> Law:
+    def law(q, v, F, lag, a, tail):
+        steps = 400
+        t = (np.arange(steps) + 0.5) / steps
+        speed, rows = F[0], []
+        for held in F:
+            within = held + (speed - held) * np.exp(-t * TS / tail)
+            square = within * (np.abs(within) if signed else within)
+            each = lag / tail * (within - held) + a * square
+            rows.append((each.mean(), (each * (t - 0.5)).mean()))
+            speed = held + (speed - held) * np.exp(-TS / tail)
+        mean, moment = np.array(rows).T
+        wide = np.pad(moment, 1, mode="edge")
+        return mean + 0.5 * (wide[:-2] - wide[2:])
+
+    return law
+
+
 LAWS: dict[str, Law] = {
     "damping.asymmetric": lambda q, v, F, asymmetry: -asymmetry * np.sign(v) * v,
     "friction.coulomb_asymmetric": sliding,
@@ -201,6 +224,10 @@ LAWS: dict[str, Law] = {
     "actuator.quantised": lambda q, v, F, depth, step: (
         depth * (np.floor(F / step + 0.5) * step - F)
     ),
+    "actuator.squared_after_lag": lambda q, v, F, a: a * np.sign(F) * F**2,  # of a model without
+    "actuator.quadratic_after_lag": lambda q, v, F, a: a * F**2,
+    "actuator.squared_with_lag": with_lag(signed=True),
+    "actuator.quadratic_with_lag": with_lag(signed=False),
 }
 
 
@@ -253,6 +280,26 @@ def test_effect_is_read_back_from_a_model_file_with_other_records(key: str):
         for one, two in zip(back.term(moving()).parts, written.term(moving()).parts, strict=True):
             assert (one is None) == (two is None)
             assert one is None or np.array_equal(one, two)
+
+
+@pytest.mark.parametrize("law", ["squared", "quadratic"])
+def test_a_square_after_the_lag_is_a_command_that_becomes_the_square_by_the_lag(law: str):
+    lag_s = 0.03
+    t = np.arange(3000) * TS
+    F = 1.0 + 2.0 * np.sin(2 * np.pi * 1.3 * t) + 0.5 * np.sin(2 * np.pi * 7.1 * t)
+    s = replace(moving(lag_s), coil=F[:, None], time_s=t)
+    added = Placed(table()[f"actuator.{law}_after_lag"], (), (0.7,)).term(s).held[:, 0]
+    acts = lagged_within(added, lag_s, TS, 1.0)
+    speed = lagged_within(F, lag_s, TS, 1.0)
+    square = 0.7 * speed * (np.abs(speed) if law == "squared" else speed)
+    # The begin is forgotten after seven times the lag; held values of 1 ms know the rest to 1e-5.
+    np.testing.assert_allclose(acts[300:], square[300:], atol=1e-4 * np.abs(square).max())
+    unknown = Extent((1.0,), (1.0,), 1.0, 5.0, 0.0)
+    for lagging, only in ((True, "after_lag"), (False, "with_lag")):
+        keys = {e.key for e in all_effects(places(), replace(unknown, lagging=lagging))}
+        assert {k for k in keys if k.startswith("actuator.") and "lag" in k} == {
+            f"actuator.{one}_{only}" for one in ("squared", "quadratic")
+        }
 
 
 def test_friction_of_two_levels_has_these_levels():

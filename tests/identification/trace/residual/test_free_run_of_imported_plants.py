@@ -57,6 +57,20 @@ class Play:
         return -self._stiffness * (q - self._at)
 
 
+class Propeller:
+    """A force with the square of a speed that follows the command."""
+
+    def __init__(self, lag: float, tail: float, law: Callable[[float], float]) -> None:
+        self._lag, self._step = lag / tail, 0.5 * TS / STEPS / tail
+        self._speed, self._law = float(command()[0]), law  # steady at the begin
+
+    def __call__(self, _q: float, _v: float, u: float) -> float:
+        # Called twice a step, at its begin and its middle.
+        now = self._speed
+        self._speed = u + (now - u) * float(np.exp(-self._step))
+        return self._lag * (now - u) + self._law(now)
+
+
 def magnet(c: float, y0: float, i0: float, sign: float, a: int, b: int) -> Added:
     def added(q: float, _v: float, u: float) -> float:
         x, r = sign * q / y0, u / i0
@@ -120,6 +134,15 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
     "actuator.cubic": ((0.02,), (), lambda: lambda q, v, u: 0.02 * u**3),
     "actuator.times_speed": ((-0.02,), (), lambda: lambda q, v, u: -0.02 * u * v),
     "actuator.quantised": ((1.0,), (1.5,), lambda: lambda q, v, u: 1.5 * np.round(u / 1.5) - u),
+    # The model has no lag.
+    "actuator.squared_after_lag": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * abs(u)),
+    "actuator.quadratic_after_lag": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * u),
+    "actuator.squared_with_lag": (
+        (0.02, 0.1), (0.03,), lambda: Propeller(0.02, 0.03, lambda s: 0.1 * s * abs(s)),
+    ),
+    "actuator.quadratic_with_lag": (
+        (0.02, 0.1), (0.03,), lambda: Propeller(0.02, 0.03, lambda s: 0.1 * s * s),
+    ),
 }  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable, Generator, Iterator
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -189,10 +190,18 @@ serial:
 
 
 @pytest.fixture
-def rig_on(tmp_path: Path) -> Callable[..., RigConfig]:
+def rig_on(tmp_path: Path, rig_in: Callable[..., RigConfig]) -> Callable[..., RigConfig]:
     """A function that returns the shipped rig on a bus (or loopback), at a rate, on a SIM.yaml."""
+    return partial(rig_in, tmp_path)
 
-    def rig_on(bus: str, rate_hz: float, sim: Path, expire_cycles: int = 2) -> RigConfig:
+
+@pytest.fixture(scope="session")
+def rig_in() -> Callable[..., RigConfig]:
+    """As `rig_on`, with the folder of the bus's sockets and ports as the first argument."""
+
+    def rig_in(
+        folder: Path, bus: str, rate_hz: float, sim: Path, expire_cycles: int = 2
+    ) -> RigConfig:
         head = shipped("rigs/loopback.yaml").read_text().partition("amplifiers:")[0]
         backend = "can" if bus.startswith("can") else bus
         options = "" if bus == "loopback" else ", bus: main"
@@ -204,11 +213,11 @@ amplifiers: {{backend: {backend}{options}{expire}}}
 sensors: {{backend: {backend}{options}}}
 drives: {{backend: {backend}{options}{patient}}}
 sim: {sim}
-{BUSES.get(bus, "").replace("CHANNEL", tmp_path.name).replace("FOLDER", str(tmp_path))}"""
+{BUSES.get(bus, "").replace("CHANNEL", folder.name).replace("FOLDER", str(folder))}"""
         text = text.replace("rate_hz: 1000", f"rate_hz: {rate_hz}")
         return with_model(parse_text(text, RigConfig, bus), shipped("rigs/loopback.yaml"))
 
-    return rig_on
+    return rig_in
 
 
 class Patience:

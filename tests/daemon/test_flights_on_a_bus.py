@@ -66,17 +66,19 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-@pytest.fixture(params=["canfd", "serial"])
-def rig(request, rig_on, tmp_path: Path) -> Iterator[Rig]:
+@pytest.fixture(scope="module", params=["canfd", "serial"])
+def shared(request, rig_in, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """One daemon for all tests of a bus: each leaves it without a fault, at rest."""
+    folder = tmp_path_factory.mktemp(request.param)
     # 100 Hz, and five seconds of patience: what this asserts is what happens, not when.
-    config: RigConfig = rig_on(request.param, 100.0, shipped("sims/nominal.yaml"), 500)
+    config: RigConfig = rig_in(folder, request.param, 100.0, shipped("sims/nominal.yaml"), 500)
     bus = "can" if request.param == "canfd" else "serial"
     plain = config.model_dump(mode="json")
     plain[bus]["main"]["stale_cycles"] = 500
     plain["limits"] |= {"late_cycles": 2000, "late_in_window": 100_000, "stall_s": 20.0}
     plain["realtime"] = {"priority": 0, "lock_memory": False, "cpu_latency_us": None}
     plain["service"] = {"supervisor_s": 30.0, "loop_s": 30.0}
-    plain["recording"] = {"faults": str(tmp_path / "faults")}
+    plain["recording"] = {"faults": str(folder / "faults")}
     if bus == "can":
         # The loop is another process: python-can's bus between processes, on a port of its own.
         plain["can"]["main"] |= {
@@ -86,14 +88,22 @@ def rig(request, rig_on, tmp_path: Path) -> Iterator[Rig]:
         }
         # On such a bus the readings of X1 and X2 may be a cycle apart, 2.5 mm at 0.25 m/s.
         plain["drives"] |= {"heartbeat_s": 20.0, "expire_s": 20.0, "skew_m": 0.02}
-    file = tmp_path / "rig.yaml"
+    file = folder / "rig.yaml"
     file.write_text(yaml.safe_dump(plain))
     config = parse_text(file.read_text(), RigConfig, str(file))
-    with Electronics(config, tmp_path) as electronics, daemon(config, file, tmp_path) as running:
+    with Electronics(config, folder) as electronics, daemon(config, file, folder) as running:
         try:
             yield Rig(running, electronics)
         finally:
             electronics.injector.clear()
+
+
+@pytest.fixture
+def rig(shared: Rig) -> Rig:
+    """The daemon at rest: what an earlier test left behind is cleared."""
+    shared.electronics.injector.clear()
+    wait_until(lambda: shared.ask("status")["fault"] == "NONE" or cleared(shared), _GIVE_UP_S)
+    return shared
 
 
 def test_session_is_flown_and_lands(rig: Rig, tmp_path: Path) -> None:

@@ -243,16 +243,17 @@ def _with_fixed(gram: Array, base: int, extra: Array) -> Array:
 
 
 def _foretold(rest: Array, own: Array, base: int, extra: Array) -> bool:
-    """Return whether records determine an effect well enough to foretell it in another one.
+    """Return whether records foretell an effect in another one, which can tell whether it is there.
 
-    They do if the force that is expected there, beside the model's own columns, is larger than
-    twice its uncertainty.
+    So it is if the force that is expected there, beside the model's own columns, is larger than
+    twice its uncertainty, and than twice what chance makes of it there, of unit variance: a record
+    without a force near a limit says nothing of a saturation.
     """
     there, known = (_beside(gram[:-1, :-1], base) for gram in (own, rest))
     size = _sizes(known)
     inverse = np.linalg.inv(known / size[:, None] / size + _RIDGE * np.eye(len(known)))
     uncertain = float(np.trace(there @ (inverse / size[:, None] / size)))
-    return float(extra @ there @ extra) > 4.0 * uncertain
+    return float(extra @ there @ extra) > 4.0 * (uncertain + 1.0)
 
 
 def _beside(A: Array, base: int) -> Array:

@@ -285,6 +285,11 @@ class Effect:
     )
     """Simpler laws, by key, that this one becomes without one of its amplitudes; the function
     returns their shape for a shape of this one."""
+    along_motion: Callable[[Signals, Sequence[float], Sequence[float]], Term] | None = None
+    """Function of a true motion, shape and amplitudes that returns the whole contribution, for
+    effects whose terms are functions of the readings; None if terms are those of the motion."""
+    same_if_linear: tuple[str, ...] = ()
+    """Effects, by key, that no record tells from this one in a plant that is linear otherwise."""
     scales_readings: bool = False
     """Whether the first amplitude is a scale error of all readings, those of other effects too."""
     sensor_arms: tuple[int, ...] = ()
@@ -325,6 +330,8 @@ class Placed:
 
     def term(self, signals: Signals) -> Term:
         """Return the total contribution of the effect."""
+        if self.effect.along_motion is not None and not signals.around_rows:
+            return self.effect.along_motion(signals, self.shape, self.amplitudes)
         terms = self.effect.build(signals, self.shape)
         return total([t.times(a) for t, a in zip(terms, self.amplitudes, strict=True)])
 

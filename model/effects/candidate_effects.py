@@ -21,6 +21,7 @@ from . import (
     magnetic_force,
     mass,
     motor_cogging,
+    output_readings,
     relative_motion_laws,
     rotor,
     scale_and_arm_length,
@@ -65,6 +66,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *actuator_nonlinearity.effects(places, covered),
         *characteristic_after_lag.effects(places, covered),
         *relative_motion_laws.effects(places, covered),
+        *output_readings.effects(places),
     ]
     found = resolved(found, covered.fastest_hz)
     for f_hz in covered.tones_hz:

@@ -30,6 +30,8 @@ _LATE_S = 2e-3
 def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return lag and delay of every coil."""
     found = []
+    # In a linear plant of one input and one output the order of its parts does not show.
+    single = not places.beam and places.coils == places.sensors == len(places.dof) == 1
     for c in range(places.coils):
         where = (places.actuator(c),)
         found += [
@@ -45,6 +47,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((_LATE_S,),),
                 absorbed_by=places.worded(_LAGS),
                 told_apart_by=places.worded(_ONE_BY_ONE),
+                same_if_linear=("reading.lag",) if single else (),
             ),
             Effect(
                 "delay",
@@ -58,6 +61,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((_LATE_S,),),
                 absorbed_by=places.worded(_DELAYS),
                 told_apart_by=places.worded(_ONE_BY_ONE),
+                same_if_linear=("reading.delay",) if single else (),
             ),
         ]
     return found

@@ -29,9 +29,10 @@ def fitted_rivals(
 
     `beside` is the model without them. Gains are foretold by a line, and a large effect moves the
     model's other numbers: so candidates are compared where the fit with each of them ends. What is
-    not surely worse than the best is not told apart from it. Of these the one with the fewest
-    numbers comes first, and has the others as its alternatives, but for richer laws at its place: a
-    richer law contains most simpler ones. Then come the others, best first.
+    not surely worse than the best is not told apart from it, nor is what equals it in a linear
+    plant, where no other effect is found. Of these the one with the fewest numbers comes first, and
+    has the others as its alternatives, but for richer laws at its place: a richer law contains most
+    simpler ones. Then come the others, best first.
     """
     rivals = [r for r in ranking if r.instead_of is first.instead_of and confirmed(r, options)]
     fitted = list[_Fitted]()
@@ -41,10 +42,19 @@ def fitted_rivals(
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
     alike.sort(key=lambda f: f.numbers)
+    if not beside.placed:
+        # What the noise of the readings tells of the place of a lag is none of the plant.
+        same = alike[0].rated.placed.effect.same_if_linear
+        known = [id(f) for f in alike]
+        alike += [f for f in fitted if f.rated.placed.effect.key in same and id(f) not in known]
     support = _support(fitted, ranking, options)
     named = [replace(f.rated, support=support(f.rated)) for f in alike]
     contenders = tuple(r.placed.effect for r in ranking)
-    others = tuple(r for r, f in zip(named[1:], alike[1:], strict=True) if not _richer(f, alike[0]))
+    others = tuple(
+        r
+        for r, f in zip(named[1:], alike[1:], strict=True)
+        if not _richer(f, alike[0]) and not f.rated.as_simpler
+    )
     best = replace(named[0], alternatives=others, contenders=contenders)
     rest = [f for f in fitted if f is not alike[0]]
     told = [replace(f.rated, support=support(f.rated), contenders=contenders) for f in rest]

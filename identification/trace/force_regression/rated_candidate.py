@@ -53,6 +53,11 @@ class Rated:
         """Amplitudes and shape parameters."""
         return numbers_of(self.placed)
 
+    @property
+    def as_simpler(self) -> bool:
+        """Whether it could do without an amplitude, and is a simpler law then."""
+        return self.idle > 0 and bool(self.placed.effect.contains)
+
 
 def confirmed(rated: Rated, options: SearchOptions) -> bool:
     """Return whether an effect is no chance, matters, and is not contradicted elsewhere.

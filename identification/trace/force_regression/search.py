@@ -225,7 +225,7 @@ def _distinct_choices(
     A law that could do without one of its amplitudes is the choice of a simpler one that it
     contains.
     """
-    rivals = [(r, p) for r, p in rivals if not (r.idle and r.placed.effect.contains)]
+    rivals = [(r, p) for r, p in rivals if not r.as_simpler]
     groups: list[tuple[float, list[tuple[Rated, ForceModel]]]] = [(training.cost(taken), [])]
     costs = sorted((training.cost(point), i) for i, (_, point) in enumerate(rivals))
     for cost, i in costs:

@@ -1,0 +1,170 @@
+"""Sensors of a plant with one output for each DOF: nonlinear, late, with a part of another output.
+
+The position is a function of the reading, as a calibration states it, so that the force of a record
+is linear in the numbers; the reading of a simulated motion follows from its inverse. A gain is a
+change of units and is not told from the model. A cubic sensor at low frequencies is a cubic spring:
+inertia and damping, which act on the true motion, tell the two apart. The lag of the only sensor is
+that of the only actuator if the plant is linear.
+
+Sources: Fleming, *A review of nanometer resolution position sensors*, Sensors and Actuators A 190,
+2013 (nonlinearity, bandwidth, crosstalk).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_sensor
+from .force_units import per_unit
+from .lag_and_hysteresis_recursions import lagged_motion
+
+_LATE_S = 2e-3
+_NEWTON_STEPS = 20
+_LEAST_SLOPE = 0.1
+"""Least change of the position per reading in Newton steps: a calibration does not turn back."""
+_AMPLITUDES = "excitation at two amplitudes, up to frequencies where inertia counts"
+
+
+def effects(places: Places) -> list[Effect]:
+    """Return nonlinearity, lag and delay of every sensor, and crosstalk; empty for the rig."""
+    if places.beam or places.sensors != len(places.dof):
+        return []
+    found, single = [], places.coils == len(places.dof) == 1
+    for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+        for name, word, amplitude, power in (
+            ("quadratic", "Quadratic", "a", 2),
+            ("cubic", "Cubic", "b", 3),
+        ):
+            found.append(
+                Effect(
+                    f"reading.{name}",
+                    f"{word} nonlinearity of the sensor",
+                    "sensor_nonlinearity",
+                    (dof,),
+                    f"position = r + {amplitude} r^{power}, r the reading",
+                    (Quantity(amplitude, per_unit(unit, power - 1)),),
+                    partial(_power, sensor=i, power=power),
+                    absorbed_by="at low frequencies: a nonlinear spring",
+                    told_apart_by=_AMPLITUDES,
+                    along_motion=partial(_bent_reading, sensor=i, power=power),
+                )
+            )
+        found += [
+            Effect(
+                "reading.lag",
+                "Lag of the sensor",
+                "sensor_lag",
+                (dof,),
+                "position = r + lag r', r the reading",
+                (Quantity("lag", "s", 0.0),),
+                partial(_ahead, sensor=i),
+                absorbed_by="of a linear plant with one input: a lag of the actuator",
+                told_apart_by="a second sensor, or a force that the actuator does not give",
+                along_motion=partial(_lagged_reading, sensor=i),
+                same_if_linear=("actuator_lag",) if single else (),
+            ),
+            Effect(
+                "reading.delay",
+                "Delay of the sensor",
+                "sensor_delay",
+                (dof,),
+                "position = r + (r(t + back) - r) delay / back, r the reading",
+                (Quantity("delay", "s", 0.0),),
+                partial(_later, sensor=i),
+                (Quantity("back", "s", 1e-4, 0.1, log=True),),
+                ((_LATE_S,),),
+                absorbed_by="of a linear plant with one input: a delay of the actuator",
+                told_apart_by="a second sensor, or a force that the actuator does not give",
+                along_motion=partial(_delayed_reading, sensor=i),
+                same_if_linear=("delay",) if single else (),
+            ),
+        ]
+        found += [
+            Effect(
+                "reading.crosstalk",
+                "Reading with a part of another one",
+                "sensor_crosstalk",
+                (dof, other),
+                "position = r + share r_2, r the readings of the first and the second",
+                (Quantity("share", _ratio(unit, places.dof_units[j])),),
+                partial(_part_of, sensor=i, other=j),
+                absorbed_by="free entries of the matrices between the two",
+                told_apart_by="excitation of both, one at a time",
+                along_motion=partial(_mixed_reading, sensor=i, other=j),
+            )
+            for j, other in enumerate(places.dof)
+            if j != i
+        ]
+    return found
+
+
+def _ratio(unit: str, other: str) -> str:
+    return "1" if unit == other else f"{unit}/{other}"
+
+
+# The position less the reading, which a force balance subtracts as an error of the reading.
+
+
+def _power(signals: Signals, _shape: Sequence[float], *, sensor: int, power: int) -> list[Term]:
+    r = signals.q[:, sensor]
+    return [on_sensor(signals, sensor, -(r**power))]
+
+
+def _ahead(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
+    return [on_sensor(signals, sensor, -signals.qd[:, sensor])]
+
+
+def _later(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
+    r = signals.q[:, sensor]
+    return [on_sensor(signals, sensor, (r - _moved(r, shape[0] / signals.Ts_s)) / shape[0])]
+
+
+def _part_of(signals: Signals, _shape: Sequence[float], *, sensor: int, other: int) -> list[Term]:
+    return [on_sensor(signals, sensor, -signals.q[:, other])]
+
+
+# The reading less the position, of a motion that is known.
+
+
+def _bent_reading(
+    signals: Signals, _shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int,
+    power: int,
+) -> Term:  # fmt: skip
+    h, bend = signals.q[:, sensor], amplitudes[0]
+    r = h.copy()
+    for _ in range(_NEWTON_STEPS):
+        slope = 1.0 + power * bend * r ** (power - 1)
+        r = r - (r + bend * r**power - h) / np.maximum(slope, _LEAST_SLOPE)
+    return on_sensor(signals, sensor, r - h)
+
+
+def _lagged_reading(
+    signals: Signals, _shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int
+) -> Term:
+    h, lag_s = signals.q[:, sensor], amplitudes[0]
+    late = lagged_motion(h, lag_s, signals.Ts_s) if lag_s > 0.0 else h
+    return on_sensor(signals, sensor, late - h)
+
+
+def _delayed_reading(
+    signals: Signals, _shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int
+) -> Term:
+    h = signals.q[:, sensor]
+    return on_sensor(signals, sensor, _moved(h, -amplitudes[0] / signals.Ts_s) - h)
+
+
+def _mixed_reading(
+    signals: Signals, _shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int,
+    other: int,
+) -> Term:  # fmt: skip
+    return on_sensor(signals, sensor, -amplitudes[0] * signals.q[:, other])
+
+
+def _moved(values: Array, rows: float) -> Array:
+    """Return samples (N,) at times that are `rows` later, the first or last one beyond the ends."""
+    at = np.arange(len(values), dtype=float)
+    return np.asarray(CubicSpline(at, values)(np.clip(at + rows, 0.0, at[-1])))

@@ -12,6 +12,7 @@ harmonics for the square without sign, odd ones for the others.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 
@@ -29,6 +30,12 @@ _LEVELS = tuple(0.5 * k for k in range(6, round(2 * _MOST_LEVELS)))
 """Start values of the same: half a step apart at the largest command, as the rounding of two steps
 farther apart has nothing in common."""
 _TWO_AMPLITUDES = "excitation of one actuator at a time, at two amplitudes"
+_POWERS = {
+    "squared": ("Actuator with a squared characteristic", 2, "F |F|"),
+    "quadratic": ("Quadratic nonlinearity of an actuator", 2, "F^2"),
+    "cubic": ("Cubic nonlinearity of an actuator", 3, "F^3"),
+}
+_KEY = re.compile(r"actuator\.quadratic(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?")
 _LINEAR = "the part linear around the mean command: gain; the mean: constant force"
 
 
@@ -40,25 +47,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     for c in range(places.coils):
         where, unit = (places.actuator(c),), places.command_unit(c)
         largest = extent.largest_command((c,))
-        for name, title, equation, power in (
-            ("squared", "Actuator with a squared characteristic", "force = F + a F |F|", 2),
-            ("quadratic", "Quadratic nonlinearity of an actuator", "force = F + a F^2", 2),
-            ("cubic", "Cubic nonlinearity of an actuator", "force = F + a F^3", 3),
-        ):
-            per = per_unit(unit, power - 1)
-            found.append(
-                Effect(
-                    f"actuator.{name}",
-                    title,
-                    "actuator_nonlinearity",
-                    where,
-                    equation,
-                    (Quantity("a", per),),
-                    partial(_power, coil=c, power=power, signed=name == "squared"),
-                    absorbed_by=_LINEAR,
-                    told_apart_by=_TWO_AMPLITUDES,
-                )
-            )
+        found += [
+            _static(places, c, "squared", 0.0),
+            _static(places, c, "quadratic", extent.mean_command(c)),
+            _static(places, c, "cubic", 0.0),
+        ]
         found.append(
             Effect(
                 "actuator.times_speed",
@@ -95,12 +88,39 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
+def quadratic_actuator(places: Places, key: str, where: Sequence[str]) -> Effect | None:
+    """Return the quadratic nonlinearity with a model file's key and location; None for others."""
+    found = _KEY.fullmatch(key)
+    if found is None or places.beam or len(where) != 1 or where[0] not in places.actuators:
+        return None
+    return _static(places, places.actuators.index(where[0]), "quadratic", float(found[1] or 0.0))
+
+
+def _static(places: Places, coil: int, name: str, at: float) -> Effect:
+    """Return a power of the command, less `at`, at one actuator.
+
+    About the mean command the gain of the model keeps its meaning. About zero it is the slope there
+    and the number may have no bound: that of a propeller with a purely squared thrust has none.
+    """
+    title, power, added = _POWERS[name]
+    return Effect(
+        f"actuator.{name}" + (f"[{at:g}]" if at else ""),
+        title,
+        "actuator_nonlinearity",
+        (places.actuator(coil),),
+        f"force = F + a {added}" if not at else "force = F + a (F - F_m)^2",
+        (Quantity("a", per_unit(places.command_unit(coil), power - 1)),),
+        partial(_power, coil=coil, name=name, at=at),
+        absorbed_by=_LINEAR,
+        told_apart_by=_TWO_AMPLITUDES,
+    )
+
+
 def _power(
-    signals: Signals, _shape: Sequence[float], *, coil: int, power: int, signed: bool
+    signals: Signals, _shape: Sequence[float], *, coil: int, name: str, at: float
 ) -> list[Term]:
-    F = signals.coil[:, coil]
-    values = F * F * F if power == 3 else F * (np.abs(F) if signed else F)
-    return [on_coil(signals, coil, values)]
+    F = signals.coil[:, coil] - at
+    return [on_coil(signals, coil, {"squared": F * np.abs(F), "quadratic": F * F}.get(name, F**3))]
 
 
 def _times_speed(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:

@@ -10,6 +10,7 @@ large one.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -25,14 +26,16 @@ from .lag_and_hysteresis_recursions import (
 )
 from .operating_range import Extent
 
+Square = Callable[[Array], tuple[Array, Array]]
+
 _GAUSS = 3
 """Points of the integral over a period; the lagged command is an exponential between them."""
 _STARTS_S = (0.01, 0.03, 0.1)
 _LINEAR = "the part linear around the mean command: gain and lag; the mean: constant force"
 _TOLD_APART = "steps of two sizes from several constant commands"
-_LAWS = (
-    ("squared", "a squared characteristic", "F_l |F_l|"),
-    ("quadratic", "a quadratic nonlinearity", "F_l^2"),
+_SQUARES = {"squared": "a squared characteristic", "quadratic": "a quadratic nonlinearity"}
+_KEY = re.compile(
+    r"actuator\.quadratic_(after|with)_lag(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?"
 )
 
 
@@ -42,60 +45,87 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         return []
     found = []
     for c in range(places.coils):
-        amplitude = Quantity("a", per_unit(places.command_unit(c), 1))
-        for name, words, square in _LAWS:
+        for name in _SQUARES:
+            at = extent.mean_command(c) if name == "quadratic" else 0.0
             if extent.lagging is not False:
-                found.append(
-                    Effect(
-                        f"actuator.{name}_after_lag",
-                        f"Actuator with {words} after its lag",
-                        "actuator_nonlinearity",
-                        (places.actuator(c),),
-                        f"force = F_l + a {square}, F_l the command after the model's lag",
-                        (amplitude,),
-                        partial(_after_lag, coil=c, signed=name == "squared"),
-                        absorbed_by=_LINEAR,
-                        told_apart_by=_TOLD_APART,
-                    )
-                )
+                found.append(_after(places, c, name, at))
             if not extent.lagging:
-                found.append(
-                    Effect(
-                        f"actuator.{name}_with_lag",
-                        f"Actuator with a lag and {words} after it",
-                        "actuator_nonlinearity",
-                        (places.actuator(c),),
-                        "force = F + (F_l - F) lag / tail + "
-                        f"a {square}, F_l the command lagged by tail",
-                        (Quantity("lag", "s", -extent.late_s), amplitude),
-                        partial(_with_lag, coil=c, signed=name == "squared"),
-                        (Quantity("tail", "s", 1e-4, 1.0, log=True),),
-                        tuple((start,) for start in _STARTS_S),
-                        absorbed_by=_LINEAR,
-                        told_apart_by=_TOLD_APART,
-                        contains={f"actuator.{name}": _without_lag, "actuator_lag": tuple},
-                    )
-                )
+                found.append(_with(places, extent, c, name, at))
     return found
 
 
-def _after_lag(signals: Signals, _shape: Sequence[float], *, coil: int, signed: bool) -> list[Term]:
+def quadratic_after_lag(
+    places: Places, extent: Extent, key: str, where: Sequence[str]
+) -> Effect | None:
+    """Return the quadratic one with a model file's key and location; None for other keys."""
+    found = _KEY.fullmatch(key)
+    if found is None or places.beam or len(where) != 1 or where[0] not in places.actuators:
+        return None
+    coil, at = places.actuators.index(where[0]), float(found[2] or 0.0)
+    if found[1] == "after":
+        return _after(places, coil, "quadratic", at)
+    return _with(places, extent, coil, "quadratic", at)
+
+
+def _after(places: Places, coil: int, name: str, at: float) -> Effect:
+    return Effect(
+        f"actuator.{name}_after_lag" + (f"[{at:g}]" if at else ""),
+        f"Actuator with {_SQUARES[name]} after its lag",
+        "actuator_nonlinearity",
+        (places.actuator(coil),),
+        f"force = F_l + a {_square_in_words(name, at)}, F_l the command after the model's lag",
+        (Quantity("a", per_unit(places.command_unit(coil), 1)),),
+        partial(_after_lag, coil=coil, square=partial(_square, name=name, at=at)),
+        absorbed_by=_LINEAR,
+        told_apart_by=_TOLD_APART,
+    )
+
+
+def _with(places: Places, extent: Extent, coil: int, name: str, at: float) -> Effect:
+    simpler = f"actuator.{name}" + (f"[{at:g}]" if at else "")
+    return Effect(
+        f"actuator.{name}_with_lag" + (f"[{at:g}]" if at else ""),
+        f"Actuator with a lag and {_SQUARES[name]} after it",
+        "actuator_nonlinearity",
+        (places.actuator(coil),),
+        f"force = F + (F_l - F) lag / tail + a {_square_in_words(name, at)}, "
+        "F_l the command lagged by tail",
+        (
+            Quantity("lag", "s", -extent.late_s),
+            Quantity("a", per_unit(places.command_unit(coil), 1)),
+        ),
+        partial(_with_lag, coil=coil, square=partial(_square, name=name, at=at)),
+        (Quantity("tail", "s", 1e-4, 1.0, log=True),),
+        tuple((start,) for start in _STARTS_S),
+        absorbed_by=_LINEAR,
+        told_apart_by=_TOLD_APART,
+        contains={simpler: _without_lag, "actuator_lag": tuple},
+    )
+
+
+def _square_in_words(name: str, at: float) -> str:
+    return "F_l |F_l|" if name == "squared" else "(F_l - F_m)^2" if at else "F_l^2"
+
+
+def _after_lag(
+    signals: Signals, _shape: Sequence[float], *, coil: int, square: Square
+) -> list[Term]:
     F, tau_s = signals.coil[:, coil], signals.lag_s
     if tau_s <= 0.0:
-        return [on_coil(signals, coil, _square(F, signed))]
+        return [on_coil(signals, coil, square(F)[0])]
 
     def before_the_lag(F_l: Array) -> Array:
-        # The command S + tau S' is F_l |F_l| = S after the model's lag; tau F_l' = F - F_l.
-        slope = 2.0 * (np.abs(F_l) if signed else F_l)
-        return _square(F_l, signed) + slope * (F - F_l)
+        # The command S + tau S' is the square S after the model's lag; tau F_l' = F - F_l.
+        S, slope = square(F_l)
+        return S + slope * (F - F_l)
 
     return [on_coil(signals, coil, _over_periods(F, tau_s, signals.Ts_s, before_the_lag))]
 
 
-def _with_lag(signals: Signals, shape: Sequence[float], *, coil: int, signed: bool) -> list[Term]:
+def _with_lag(signals: Signals, shape: Sequence[float], *, coil: int, square: Square) -> list[Term]:
     F, tail_s, Ts_s = signals.coil[:, coil], shape[0], signals.Ts_s
     late = with_moment(lagged_mean(F, tail_s, Ts_s), lagged_moment(F, tail_s, Ts_s))
-    squares = _over_periods(F, tail_s, Ts_s, partial(_square, signed=signed))
+    squares = _over_periods(F, tail_s, Ts_s, lambda F_l: square(F_l)[0])
     return [on_coil(signals, coil, (late - F) / tail_s), on_coil(signals, coil, squares)]
 
 
@@ -111,5 +141,8 @@ def _over_periods(F: Array, tau_s: float, Ts_s: float, law: Callable[[Array], Ar
     return with_moment(mean, moment)
 
 
-def _square(F: Array, signed: bool) -> Array:
-    return F * (np.abs(F) if signed else F)
+def _square(F: Array, *, name: str, at: float) -> tuple[Array, Array]:
+    """Return the square of a command (N,) and its slope."""
+    F = F - at
+    size = np.abs(F) if name == "squared" else F
+    return F * size, 2.0 * size

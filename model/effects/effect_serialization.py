@@ -10,8 +10,10 @@ from dataclasses import replace
 from typing import Protocol
 
 from ..declared_model import ModelError
+from .actuator_nonlinearity import quadratic_actuator
 from .base import Effect, Placed, Places, Quantity, located
 from .candidate_effects import all_effects
+from .characteristic_after_lag import quadratic_after_lag
 from .freeform import freeform_effect
 from .magnetic_force import magnetic_force_effect
 from .operating_range import Extent
@@ -74,6 +76,8 @@ def placed_effects(
         for keyed in (
             freeform_effect(places, entry.effect, at),
             magnetic_force_effect(places, covered, entry.effect, at),
+            quadratic_actuator(places, entry.effect, at),
+            quadratic_after_lag(places, covered, entry.effect, at),
         ):
             if keyed is not None:
                 table[keyed.identity] = keyed

@@ -52,7 +52,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     n = len(places.dof)
     pairs = [(i, c) for i in range(n) for c in range(places.coils) if places.coils != n or i == c]
     return [
-        _force(places, extent, i, c, law, way, (extent.around(i), _mean(extent, c)))
+        _force(places, extent, i, c, law, way, (extent.around(i), extent.mean_command(c)))
         for i, c in pairs
         for law in _LAWS
         for way in _SIGNS
@@ -109,16 +109,6 @@ def _force(
         absorbed_by="the linear part: stiffness, gain and constant force",
         told_apart_by="excitation at several positions and mean commands",
     )
-
-
-def _mean(extent: Extent, coil: int) -> float:
-    """Return the mean command; 0 if it is less than the commands' standard deviation.
-
-    Its sign is the direction of the current, which a small mean does not tell.
-    """
-    if not extent.commands or abs(extent.commands[coil][0]) < extent.commands[coil][1]:
-        return 0.0
-    return extent.commands[coil][0]
 
 
 def _spread(extent: Extent, coil: int) -> float:

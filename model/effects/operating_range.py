@@ -66,6 +66,15 @@ class Extent:
         """Return the largest command of some actuators: inputs can have different units."""
         return max((self.largest[c] for c in coils if self.largest), default=0.0) or self.command
 
+    def mean_command(self, coil: int) -> float:
+        """Return an actuator's mean command; 0 if it is less than its standard deviation.
+
+        Its sign is the direction of the current, which a small mean does not tell.
+        """
+        if not self.commands or abs(self.commands[coil][0]) < self.commands[coil][1]:
+            return 0.0
+        return self.commands[coil][0]
+
     @property
     def slowest_hz(self) -> float:
         """Lowest frequency of which the longest record has a whole cycle."""

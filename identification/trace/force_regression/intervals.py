@@ -16,6 +16,8 @@ from .training_records import Training
 
 Array = NDArray[np.float64]
 
+_ROUNDING = 1e-9
+"""Largest change of the forces, over these, that is none."""
 _DIFFERENCE = 1e-4
 """Half step of the central differences, as a share of a parameter's scale."""
 
@@ -26,11 +28,13 @@ class Uncertainty:
 
     covariance (K, K): by the scatter of blocks; what a model lacks is coloured, and correlates with
     its columns. moved (L, K): changes by fits to other records: in another band, or with more noise
-    in the motion; none if L is 0.
+    in the motion; none if L is 0. silent (K,): whether a number changes no force at all, such as a
+    constant one.
     """
 
     covariance: Array
     moved: Array
+    silent: NDArray[np.bool_]
 
     @classmethod
     def of(cls, point: ForceModel, training: Training, others: Sequence[Training]) -> Uncertainty:
@@ -39,7 +43,8 @@ class Uncertainty:
         groups = training.group_columns(at)
         columns = training.columns(at, groups)
         size = np.linalg.norm(flat(columns), axis=0)
-        size = np.where(size > 0.0, size, 1.0)
+        silent = size <= _ROUNDING * np.sqrt(at.power.sum())
+        size = np.where(silent, 1.0, size)
         grams = training.judged(at, columns, groups)
         scale = np.append(size, 1.0)
         blocks = grams.grams.sum(axis=1) / scale[:, None] / scale
@@ -53,14 +58,18 @@ class Uncertainty:
         unit = np.concatenate([point.parameters.scale, np.ones(len(size) - len(point.values))])
         covariance = inverse @ middle @ inverse * np.outer(unit / size, unit / size)
         moved = [numbers(other.fit(point)) - numbers(point) for other in others]
-        return cls(covariance, np.array(moved).reshape(len(moved), len(size)))
+        return cls(covariance, np.array(moved).reshape(len(moved), len(size)), silent)
 
     def standard_errors(self, gradients: Array | None = None) -> Array:
-        """Return the standard error of each number (K,), or of what has the gradients (., K)."""
+        """Return the standard error of each number (K,), or of what has the gradients (., K).
+
+        It is infinite for a number that is silent.
+        """
         g = np.eye(len(self.covariance)) if gradients is None else gradients
         variances = np.einsum("ij,jk,ik->i", g, self.covariance, g)
         spread = np.abs(self.moved @ g.T).max(axis=0, initial=0.0)
-        return np.asarray(np.hypot(np.sqrt(np.maximum(variances, 0.0)), spread / SURE_95))
+        errors = np.hypot(np.sqrt(np.maximum(variances, 0.0)), spread / SURE_95)
+        return np.where(np.any(self.silent & (g != 0.0), axis=1), np.inf, errors)
 
 
 def relative_force_errors(

@@ -179,6 +179,10 @@ def working_point(key: str) -> tuple[float, float]:
     return float(q), float(F)
 
 
+def mean_command(key: str) -> float:
+    return float(table()[key].key.partition("[")[2].rstrip("]"))
+
+
 def times_speed(q, v, F, a):
     # Commanded in a row, it acts from the next row to the one after that.
     later = np.minimum(np.arange(len(v)) + 1, len(v) - 1)
@@ -188,12 +192,12 @@ def times_speed(q, v, F, a):
 
 def with_lag(signed: bool) -> Law:
     def law(q, v, F, lag, a, tail):
-        steps = 400
+        steps, middle = 400, mean_command("actuator.quadratic_with_lag")
         t = (np.arange(steps) + 0.5) / steps
         speed, rows = F[0], []
         for held in F:
             within = held + (speed - held) * np.exp(-t * TS / tail)
-            square = within * (np.abs(within) if signed else within)
+            square = within * np.abs(within) if signed else (within - middle) ** 2
             each = lag / tail * (within - held) + a * square
             rows.append((each.mean(), (each * (t - 0.5)).mean()))
             speed = held + (speed - held) * np.exp(-TS / tail)
@@ -218,14 +222,16 @@ LAWS: dict[str, Law] = {
         for way, sign in (("opens", 1.0), ("closes", -1.0))
     },
     "actuator.squared": lambda q, v, F, a: a * np.sign(F) * F**2,
-    "actuator.quadratic": lambda q, v, F, a: a * F**2,
+    "actuator.quadratic": lambda q, v, F, a: a * (F - mean_command("actuator.quadratic")) ** 2,
     "actuator.cubic": lambda q, v, F, a: a * F**3,
     "actuator.times_speed": times_speed,
     "actuator.quantised": lambda q, v, F, depth, step: (
         depth * (np.floor(F / step + 0.5) * step - F)
     ),
     "actuator.squared_after_lag": lambda q, v, F, a: a * np.sign(F) * F**2,  # of a model without
-    "actuator.quadratic_after_lag": lambda q, v, F, a: a * F**2,
+    "actuator.quadratic_after_lag": lambda q, v, F, a: (
+        a * (F - mean_command("actuator.quadratic_after_lag")) ** 2
+    ),
     "actuator.squared_with_lag": with_lag(signed=True),
     "actuator.quadratic_with_lag": with_lag(signed=False),
 }
@@ -291,7 +297,8 @@ def test_a_square_after_the_lag_is_a_command_that_becomes_the_square_by_the_lag(
     added = Placed(table()[f"actuator.{law}_after_lag"], (), (0.7,)).term(s).held[:, 0]
     acts = lagged_within(added, lag_s, TS, 1.0)
     speed = lagged_within(F, lag_s, TS, 1.0)
-    square = 0.7 * speed * (np.abs(speed) if law == "squared" else speed)
+    middle = mean_command("actuator.quadratic_after_lag")
+    square = 0.7 * (speed * np.abs(speed) if law == "squared" else (speed - middle) ** 2)
     # The begin is forgotten after seven times the lag; held values of 1 ms know the rest to 1e-5.
     np.testing.assert_allclose(acts[300:], square[300:], atol=1e-4 * np.abs(square).max())
     unknown = Extent((1.0,), (1.0,), 1.0, 5.0, 0.0)

@@ -34,9 +34,7 @@ _STARTS_S = (0.01, 0.03, 0.1)
 _LINEAR = "the part linear around the mean command: gain and lag; the mean: constant force"
 _TOLD_APART = "steps of two sizes from several constant commands"
 _SQUARES = {"squared": "a squared characteristic", "quadratic": "a quadratic nonlinearity"}
-_KEY = re.compile(
-    r"actuator\.quadratic_(after|with)_lag(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?"
-)
+_KEY = re.compile(r"actuator\.quadratic_(after|with)_lag(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?")
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:

@@ -5,14 +5,12 @@ current (Zhu and Howe, *Influence of design parameters on cogging torque in perm
 machines*, IEEE Trans. Energy Conversion 15, 2000). A rotary motor has the same equation over its
 angle. The travel is taken as four standard deviations of the motion. Start values of the pitch are
 half a cycle over the travel apart, from two to 20 cycles over it: with fewer it is a nonlinear
-stiffness, or gravity on an arm. If a DOF in rad or deg travels farther than 20 periods of a pitch,
-such a pitch is searched only among the first 20 harmonics of a revolution. Signature: depends on
-the position only, not on speed, direction or command.
+stiffness, or gravity on an arm. Shorter pitches begin at the strongest lines of the missing force
+over the position. Signature: depends on the position only, not on speed, direction or command.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -25,8 +23,6 @@ _TRAVEL = 4.0
 """Travel over the standard deviation of a motion."""
 _FEWEST, _MOST, _APART = 2.0, 20.0, 0.5
 """Cycles over the travel: fewest, most, and between neighbouring start values."""
-_HARMONICS = 20
-_REVOLUTION = {"rad": 2 * math.pi, "deg": 360.0}
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
@@ -35,7 +31,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         return []
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
-        pitches = _pitches(_TRAVEL * extent.reach[i], _REVOLUTION.get(unit))
+        pitches = _pitches(_TRAVEL * extent.reach[i], extent.periods[i] if extent.periods else ())
         found.append(
             Effect(
                 "cogging.position",
@@ -54,14 +50,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
-def _pitches(travel: float, revolution: float | None) -> list[float]:
-    """Return start values of the pitch, longest first, at most 60."""
+def _pitches(travel: float, lines: Sequence[float]) -> list[float]:
+    """Return start values of the pitch, those of lines in the force over the position last."""
     count = round((_MOST - _FEWEST) / _APART) + 1
     found = [travel / cycles for cycles in np.linspace(_FEWEST, _MOST, count).tolist()]
-    if revolution is not None:
-        harmonics = (revolution / k for k in range(1, _HARMONICS + 1))
-        found += [pitch for pitch in harmonics if pitch < travel / _MOST]
-    return found
+    return found + [pitch for pitch in lines if pitch < travel / _MOST]
 
 
 def _cogging(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

@@ -39,7 +39,8 @@ class Extent:
     dof_resonances: number of the DOF, frequency in Hz and damping ratio of masses on springs seen
     in forces and motion. beam_rates: largest speed and acceleration of the beam and largest speed
     of the rotor. joints: RMS deviation and speed, and middle, of each relative motion. lagging:
-    whether the model has a lag, None if that is not known.
+    whether the model has a lag, None if that is not known. periods: for each DOF, those over its
+    position that the missing force has.
     """
 
     reach: tuple[float, ...]
@@ -61,6 +62,7 @@ class Extent:
     largest: tuple[float, ...] = ()
     joints: tuple[tuple[float, float, float], ...] = ()
     lagging: bool | None = None
+    periods: tuple[tuple[float, ...], ...] = ()
 
     def largest_command(self, coils: Sequence[int]) -> float:
         """Return the largest command of some actuators: inputs can have different units."""

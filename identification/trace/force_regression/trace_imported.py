@@ -37,6 +37,7 @@ from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
 from .held_out_gain import Blocks
 from .intervals import Uncertainty, relative_force_errors
+from .position_spectrum import position_periods
 from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
 from .residual_whitening import Whitening, whitening_of
@@ -157,6 +158,7 @@ def _traced(
         placed_effects(config.effects, places, covered),
     )
     training, declared, held = _weighed(start, fitted, limit_hz, options)
+    covered = replace(covered, periods=position_periods(declared, fitted, limit_hz))
     table = searched_effects(effects, declared.placed, places, covered, overlap(records))
     free = [e for e in table.free if e.where[0] in places.dof]
     found = search(declared, table.named, free, training, options, progress)

@@ -398,16 +398,14 @@ def test_unknown_contact_force_of_a_play_decays_as_the_play_is_passed():
     assert np.all(decay[passed:] < 1e-12)
 
 
-@pytest.mark.parametrize("travel", [0.5, 400.0])
-def test_pitches_are_dense_enough(travel: float):
-    extent = Extent((travel / 4,), (1.0,), 0.1, 5.0, 0.0)
+def test_pitches_are_dense_enough():
+    travel = 0.5
+    extent = Extent((travel / 4,), (1.0,), 0.1, 5.0, 0.0, periods=((0.013, 0.07),))
     (effect,) = (e for e in all_effects(places(), extent) if e.key == "cogging.position")
     pitches = np.sort([pitch for (pitch,) in effect.grid])
     assert len(pitches) <= 60
     over = np.sort(travel / pitches[pitches >= 0.999 * travel / 20])
     np.testing.assert_allclose(over[[0, -1]], [2.0, 20.0])
     assert np.diff(over).max() <= 0.5 + 1e-9
-    # A motor that turns many times has a pitch that divides the revolution.
-    shorter = pitches[pitches < 0.999 * travel / 20]
-    np.testing.assert_allclose(2 * np.pi / shorter, np.round(2 * np.pi / shorter))
-    assert len(shorter) == (20 if travel > 300 else 0)
+    # Shorter ones are lines of the force over the position.
+    assert pitches[pitches < 0.999 * travel / 20].tolist() == [0.013]

@@ -28,6 +28,7 @@ from . import (
     sensor_dynamic,
     sensor_static,
     stiffness,
+    swinging_coupling,
     vibration,
 )
 from .base import Effect, Places, resolved
@@ -60,6 +61,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *sensor_dynamic.effects(places, covered),
         *scale_and_arm_length.effects(places),
         *gravity.effects(places),
+        *swinging_coupling.effects(places),
         *backlash.effects(places, covered),
         *motor_cogging.effects(places, covered),
         *magnetic_force.effects(places, covered),

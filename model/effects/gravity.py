@@ -18,7 +18,7 @@ import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
 
-_RADIANS = {"rad": 1.0, "deg": math.pi / 180, "1": 1.0}
+RADIANS = {"rad": 1.0, "deg": math.pi / 180, "1": 1.0}
 """Radians per unit of a DOF that can be an angle."""
 
 
@@ -34,13 +34,13 @@ def effects(places: Places) -> list[Effect]:
             (dof,),
             "force = -(k_s sin q + k_c cos q)",
             (Quantity("k_s", places.force_unit(i)), Quantity("k_c", places.force_unit(i))),
-            partial(_gravity, dof=i, radians=_RADIANS[unit]),
+            partial(_gravity, dof=i, radians=RADIANS[unit]),
             absorbed_by="at small angles: the declared stiffness (the part linear in the angle) "
             "and the constant force",
             told_apart_by="motion over a large part of a revolution",
         )
         for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
-        if unit in _RADIANS
+        if unit in RADIANS
     ]
 
 

@@ -45,8 +45,8 @@ class FoundLaw:
     left_share: share of the squared missing force without it that is left with it, of what a free
     form explains. least_gain: share that an effect must take. curve: free form of its signal that
     surely improves on it, None without one. grew: whether the model with all effects misses more
-    force in the rows that neither fitted nor chose. told: whether the force of one of its
-    amplitudes is told from zero.
+    force in the rows that neither fitted nor chose, or its free run does. told: whether the force
+    of one of its amplitudes is told from zero.
     """
 
     rated: Rated
@@ -81,7 +81,7 @@ class FoundLaw:
                 self.left_share > self.least_gain
             ),
             "no amplitude of it is told from zero": not self.told,
-            "the rows that neither fitted nor chose miss more force with what was found": self.grew,
+            "the rows that neither fitted nor chose miss more with what was found": self.grew,
         }
         return tuple(reason for reason, so in reasons.items() if so)
 
@@ -154,8 +154,8 @@ class ForceOutcome:
             parts.append(f"no known law, described by a free form: {', '.join(forms)}")
         if not parts:
             parts.append("no effect is confirmed")
-            if self.nearest:
-                parts.append(self.nearest)
+        if self.nearest:
+            parts.append(self.nearest)
         return "; ".join([*parts, self.rest])
 
     @property
@@ -202,13 +202,17 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
 
 
 def _nearest(trace: ForceTrace) -> str:
-    options = trace.options
+    options, some = trace.options, bool(trace.found.rated)
+    which, rest = ("not added:", " that is left") if some else ("nearest:", "")
+    known = {r.placed.effect.identity for r in trace.found.rated}
     for r in trace.found.nearest:
+        if r.placed.effect.identity in known:
+            continue
         if r.gain.statistic > options.standard_errors and r.share > options.least_free_gain:
             why = "is too small to matter" if r.gain.elsewhere else "is contradicted by a record"
             return (
-                f"nearest: {r.placed.effect.name}, which would take {100 * r.share:.2g} % of the "
-                f"squared missing force and {why}"
+                f"{which} {r.placed.effect.name}, which would take {100 * r.share:.0f} % of the "
+                f"squared missing force{rest} and {why}"
             )
     return ""
 
@@ -339,8 +343,11 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         for p, own in zip(trace.found.point.placed, trace.force_errors, strict=True)
     }
     laws = []
-    before, after = (float(np.linalg.norm(e.force_percent)) for e in pooled_errors(trace))
-    grew = after > before
+    errors_there = pooled_errors(trace)
+    before, after = (float(np.linalg.norm(e.force_percent)) for e in errors_there)
+    run, run_after = (float(np.linalg.norm(e.error / trace.noise_sd)) for e in errors_there)
+    # Of a free run that did not converge the comparison with nan is false.
+    grew = after > before or run_after > trace.options.explained * run
     known = {p.effect.identity for p in trace.found.point.placed}
     surely = trace.options.standard_errors
     for rated, left in zip(trace.found.rated, trace.left_share, strict=True):

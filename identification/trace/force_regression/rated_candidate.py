@@ -62,9 +62,9 @@ class Rated:
 def confirmed(rated: Rated, options: SearchOptions) -> bool:
     """Return whether an effect is no chance, matters, and is not contradicted elsewhere.
 
-    A free form names no law that would hold elsewhere, so other records must confirm it.
+    A free form names no law that would hold elsewhere, so others must confirm it in two records.
     """
-    asked = not rated.free or bool(np.all(np.isfinite(rated.gain.others)))
+    asked = not rated.free or np.count_nonzero(np.isfinite(rated.gain.others)) > 1
     return confirmed_here(rated, options) and asked and rated.gain.elsewhere
 
 

@@ -179,7 +179,15 @@ def _traced(
     left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
     form = np.where(training.all_free, np.nan, _rms(left))
     force = _rms([r.acting_force(found.point) for r in fitted])
-    left_share = _left_share(found, training, form / force, options)
+    quiet = _rms(
+        [
+            r.varying(r.missing_force(found.point)) - own.varying(own.missing_force(found.point))
+            for r, own in zip(others[-1].records, fitted, strict=True)
+        ]
+    )
+    # Where all terms of an equation are free there is no form: all but the readings' noise counts.
+    least = np.where(np.isfinite(form), form, quiet)
+    left_share = _left_share(found, training, least / force, options)
     curves = curves_beside_laws(found.point, free, training, options)
     progress("reporting on unseen rows", 0.95)
     noise = stated_noise([r.experiment for r in records])
@@ -198,21 +206,21 @@ def _traced(
 
 
 def _left_share(
-    found: Searched, training: Training, form: Array, options: SearchOptions
+    found: Searched, training: Training, least: Array, options: SearchOptions
 ) -> tuple[float, ...]:
     """Return for each effect the share of the squared missing force without it, the others fitted
     again, that is left with it.
 
-    form (n,): what a free form leaves, over the acting force; only what is beyond it counts, at the
-    DOF that have a form (not nan), and only if an effect must take as much.
+    least (n,): what a free form leaves, or the noise, over the acting force; only what is beyond it
+    counts, and only if an effect must take as much.
     """
-    plain, tied = training.plain(), np.isfinite(form)
+    plain = training.plain()
 
     def missing(point: ForceModel) -> Array:
-        return missing_share(plain.at(point))[tied]
+        return missing_share(plain.at(point))
 
     after = missing(found.point)
-    beyond = np.where(after - form[tied] > options.least_force, after**2 - form[tied] ** 2, 0.0)
+    beyond = np.where(after - least > options.least_force, after**2 - least**2, 0.0)
     shares = []
     for rated in found.rated:
         identity = rated.placed.effect.identity

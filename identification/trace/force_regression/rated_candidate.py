@@ -64,7 +64,7 @@ def confirmed(rated: Rated, options: SearchOptions) -> bool:
 
     A free form names no law that would hold elsewhere, so others must confirm it in two records.
     """
-    asked = not rated.free or np.count_nonzero(np.isfinite(rated.gain.others)) > 1
+    asked = not rated.free or int(np.isfinite(rated.gain.others).sum()) > 1
     return confirmed_here(rated, options) and asked and rated.gain.elsewhere
 
 

@@ -18,6 +18,7 @@ from . import (
     flexible,
     friction,
     gravity,
+    input_crosstalk,
     magnetic_force,
     mass,
     motor_cogging,
@@ -67,6 +68,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *magnetic_force.effects(places, covered),
         *actuator_nonlinearity.effects(places, covered),
         *characteristic_after_lag.effects(places, covered),
+        *input_crosstalk.effects(places),
         *relative_motion_laws.effects(places, covered),
         *output_readings.effects(places),
     ]

@@ -37,6 +37,11 @@ def per_unit(unit: str, power: int) -> str:
     return "1" if unit == "1" else f"1/{unit_power(unit, power)}"
 
 
+def ratio(unit: str, other: str) -> str:
+    """Return the unit of a share of one quantity in another: m/rad, N/(N m), 1."""
+    return "1" if unit == other else f"{unit}/{unit_power(other, 1)}"
+
+
 def _unit_of(
     row: Sequence[float | str], input_units: Sequence[str], parameter_units: Mapping[str, str]
 ) -> str:

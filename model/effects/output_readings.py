@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_sensor
-from .force_units import per_unit
+from .force_units import per_unit, ratio
 from .lag_and_hysteresis_recursions import lagged_motion
 
 _LATE_S = 2e-3
@@ -90,7 +90,7 @@ def effects(places: Places) -> list[Effect]:
                 "sensor_crosstalk",
                 (dof, other),
                 "position = r + share r_2, r the readings of the first and the second",
-                (Quantity("share", _ratio(unit, places.dof_units[j])),),
+                (Quantity("share", ratio(unit, places.dof_units[j])),),
                 partial(_part_of, sensor=i, other=j),
                 absorbed_by="free entries of the matrices between the two",
                 told_apart_by="excitation of both, one at a time",
@@ -100,10 +100,6 @@ def effects(places: Places) -> list[Effect]:
             if j != i
         ]
     return found
-
-
-def _ratio(unit: str, other: str) -> str:
-    return "1" if unit == other else f"{unit}/{other}"
 
 
 # The position less the reading, which a force balance subtracts as an error of the reading.

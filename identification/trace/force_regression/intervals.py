@@ -28,8 +28,8 @@ class Uncertainty:
 
     covariance (K, K): by the scatter of blocks; what a model lacks is coloured, and correlates with
     its columns. moved (L, K): changes by fits to other records: in another band, or with more noise
-    in the motion; none if L is 0. silent (K,): whether a number changes no force at all, such as a
-    constant one.
+    in the motion, and by effects that may be missing; none if L is 0. silent (K,): whether a number
+    changes no force at all, such as a constant one.
     """
 
     covariance: Array
@@ -37,8 +37,17 @@ class Uncertainty:
     silent: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, point: ForceModel, training: Training, others: Sequence[Training]) -> Uncertainty:
-        """Return the uncertainty of a model that was fitted to `training`."""
+    def of(
+        cls,
+        point: ForceModel,
+        training: Training,
+        others: Sequence[Training],
+        richer: Sequence[ForceModel] = (),
+    ) -> Uncertainty:
+        """Return the uncertainty of a model that was fitted to `training`.
+
+        richer: fitted models with one more effect, the last one, that may be missing.
+        """
         at = training.at(point)
         groups = training.group_columns(at)
         columns = training.columns(at, groups)
@@ -58,6 +67,7 @@ class Uncertainty:
         unit = np.concatenate([point.parameters.scale, np.ones(len(size) - len(point.values))])
         covariance = inverse @ middle @ inverse * np.outer(unit / size, unit / size)
         moved = [numbers(other.fit(point)) - numbers(point) for other in others]
+        moved += [numbers(model)[: len(size)] - numbers(point) for model in richer]
         return cls(covariance, np.array(moved).reshape(len(moved), len(size)), silent)
 
     def standard_errors(self, gradients: Array | None = None) -> Array:

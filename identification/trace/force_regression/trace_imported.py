@@ -173,7 +173,8 @@ def _traced(
     noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
     more = np.sqrt(2.0) * sd
     others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
-    uncertainty = Uncertainty.of(found.point, training, others)
+    richer = _with_what_came_near(found, training, options)
+    uncertainty = Uncertainty.of(found.point, training, others, richer)
     told = relative_force_errors(found.point, fitted, uncertainty)
     whole = Beside.of(found.point, training)
     left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
@@ -205,11 +206,31 @@ def _traced(
     )  # fmt: skip
 
 
+def _with_what_came_near(
+    found: Searched, training: Training, options: SearchOptions
+) -> list[ForceModel]:
+    """Return the fitted models with each effect that is no chance, but was too small to be added.
+
+    It may be there: the numbers of what was found are not better known than it changes them.
+    """
+    near = [
+        r.placed
+        for r in found.nearest
+        if not r.free
+        and r.gain.elsewhere
+        and r.gain.statistic > options.standard_errors
+        and r.share > options.least_gain
+        and r.placed.effect.identity not in {p.effect.identity for p in found.point.placed}
+    ]
+    more = (replace(found.point, placed=(*found.point.placed, placed)) for placed in near)
+    return [training.fit(point) for point in more]
+
+
 def _left_share(
     found: Searched, training: Training, least: Array, options: SearchOptions
 ) -> tuple[float, ...]:
     """Return for each effect the share of the squared missing force without it, the others fitted
-    again, that is left with it.
+    again, that is left with it, at the DOF where it takes most.
 
     least (n,): what a free form leaves, or the noise, over the acting force; only what is beyond it
     counts, and only if an effect must take as much.
@@ -226,8 +247,10 @@ def _left_share(
         identity = rated.placed.effect.identity
         others = tuple(p for p in found.point.placed if p.effect.identity != identity)
         without = missing(training.fit(replace(found.point, placed=others)))
-        there = beyond.sum() + max(float(np.sum(without**2 - after**2)), 0.0)
-        shares.append(float(beyond.sum() / there) if there > 0.0 else 0.0)
+        taken = without**2 - after**2
+        most = int(np.argmax(taken))
+        there = beyond[most] + max(float(taken[most]), 0.0)
+        shares.append(float(beyond[most] / there) if there > 0.0 else 0.0)
     return tuple(shares)
 
 

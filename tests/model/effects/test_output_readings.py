@@ -78,5 +78,15 @@ def test_numbers_have_the_units_of_the_output(key: str, unit: str) -> None:
     assert table()[key].amplitudes[0].unit == unit
 
 
+def test_a_part_of_another_command_has_the_ratio_of_their_units() -> None:
+    crosstalk = {e.where: e for e in all_effects(places()) if e.key == "actuator.crosstalk"}
+    assert set(crosstalk) == {("f", "t"), ("t", "f")}
+    assert crosstalk["f", "t"].amplitudes[0].unit == "N/(N m)"
+    s = replace(motion(around_rows=True), coil=np.array([[1.0, 2.0]] * ROWS))
+    (term,) = crosstalk["f", "t"].build(s, ())
+    np.testing.assert_array_equal(term.held, np.array([[2.0, 0.0]] * ROWS))
+
+
 def test_the_rig_has_sensors_of_its_own() -> None:
-    assert not [e for e in all_effects(rig_places()) if e.key.startswith("reading.")]
+    keys = [e.key for e in all_effects(rig_places())]
+    assert not [k for k in keys if k.startswith("reading.") or k == "actuator.crosstalk"]

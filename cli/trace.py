@@ -14,6 +14,7 @@ import click
 from .model_file_errors import naming_the_file
 from .output_folder_check import quoted, same_logs, writable_folder
 from .progress import progress, say
+from .value_with_interval import value_with_interval
 
 if TYPE_CHECKING:
     from ..config.model import ModelConfig
@@ -184,7 +185,7 @@ def words(found: Trace) -> list[str]:
     for force in result.shaken:
         s = force.shaking
         lines += [
-            f"  {force.name}: {s.rms:.5g} +- {_half(s.se):.2g} {force.unit} RMS (95 %)",
+            f"  {force.name}: {value_with_interval(s.rms, s.se)} {force.unit} RMS (95 %)",
             "    also in still records: random, so no model can predict it",
         ]
     lines += [f"{f.effect.name}, declared: {_values(f)}" for f in result.declared]
@@ -225,18 +226,11 @@ def _effect(found: FoundEffect) -> list[str]:
 def _values(found: FoundEffect) -> str:
     """Return the effect's parameters with 95 % intervals; omit parameters fixed at zero."""
     return ", ".join(
-        f"{name} = {p.value:.5g}"
-        + ("" if p.se is None else f" +- {_half(p.se):.2g}")
+        f"{name} = {value_with_interval(p.value, p.se)}"
         + ("" if p.unit in ("", "1") else f" {p.unit}")
         for name, p in found.parameters().items()
         if p.value != 0.0 or p.se
     )
-
-
-def _half(se: float) -> float:
-    from ..identification.subspace.response_uncertainty import SURE_95
-
-    return SURE_95 * se
 
 
 def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:

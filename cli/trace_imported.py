@@ -11,6 +11,7 @@ import click
 
 from .output_folder_check import quoted, same_logs, writable_folder
 from .progress import progress, say
+from .value_with_interval import value_with_interval
 
 if TYPE_CHECKING:
     from ..config.model import EffectParameter
@@ -115,7 +116,7 @@ def words_of(found: ForceTrace) -> list[str]:
         lines.append(f"{effect.name}, declared: {_values(parameters)} (95 %)")
     names = found.found.point.parameters.names
     values = [
-        f"{name} = {p.value:.5g}{_interval(p.se)} {p.unit}"
+        f"{name} = {value_with_interval(p.value, p.se)} {p.unit}"
         for name, p in model_with_effects(found).parameters.items()
         if name in names
     ]
@@ -156,12 +157,7 @@ def _law(law: FoundLaw) -> list[str]:
 
 def _values(parameters: Mapping[str, EffectParameter]) -> str:
     return ", ".join(
-        f"{name} = {p.value:.5g}{_interval(p.se)}" + ("" if p.unit in ("", "1") else f" {p.unit}")
+        f"{name} = {value_with_interval(p.value, p.se)}"
+        + ("" if p.unit in ("", "1") else f" {p.unit}")
         for name, p in parameters.items()
     )
-
-
-def _interval(se: float | None) -> str:
-    from ..identification.subspace.response_uncertainty import SURE_95
-
-    return "" if se is None else f" +- {SURE_95 * se:.2g}"

@@ -44,7 +44,8 @@ The effects that `levid trace` tries: what a plant may do and its declared model
 - **Told apart by** names the excitation that separates an effect from similar ones. Effects that
   fit a session about equally well are reported together.
 - **At** is `q` and *each actuator* for any plant that is not the rig: `q` is each DOF, and an
-  actuator has the name of its input. Units there are those of a DOF in m and a command in N.
+  actuator has the name of its input. Units there are those of a DOF in m and a command in N. Its
+  sensors have the effects `reading.*`, at their DOF; those at a sensor are the rig's.
 - **Non-rigid part** of the readings: the part that no motion of a rigid platform can produce.
 """
 

@@ -19,6 +19,9 @@ Gaussian signal clipped at two standard deviations 20."""
 _LEAST_LEVELS = 20
 """Least number of bins between the extremes with values. Steps and binary signals have fewer: they
 rest at levels that are meant."""
+_MOSTLY = 0.5
+"""Share of the rows away from a level that repeat the row before in a signal of steps. A signal of
+few bits repeats some, but not most."""
 _STEP, _HALTED = 2, 0.5
 """A reading is cut off, or a motion halted, in the middle of it: before it rests at a level it
 changes by half of what it does in the mean, at least. That is measured over a time in which it
@@ -59,6 +62,8 @@ def clipped_levels(values: Array, *, halted: bool = False) -> list[ClippedLevel]
         if rows < max(_LEAST_ROWS, _LEAST_SHARE * len(values)) or rows <= _RATIO * beside:
             continue
         at_level = np.abs(values - level) < bin_width
+        if _rests_elsewhere(values, at_level):
+            continue
         if not halted or _in_full_motion(values, at_level, _STEP * bin_width):
             found.append(ClippedLevel(level, rows / len(values), side))
     return found
@@ -89,6 +94,12 @@ def clipping_remarks(name: str, unit: str, values: Array, *, output: bool) -> li
         f"{100 * found.share:.2g} % of the rows: {cost(f'{100 * found.share:.2g} %')}"
         for found in clipped_levels(values, halted=output)
     ]
+
+
+def _rests_elsewhere(values: Array, at_level: NDArray[np.bool_]) -> bool:
+    """Return whether values are held for rows at other levels too, as steps of many sizes are."""
+    held = (values[1:] == values[:-1]) & ~at_level[1:]
+    return bool(np.count_nonzero(held) > _MOSTLY * np.count_nonzero(~at_level[1:]))
 
 
 def _in_full_motion(values: Array, at_level: NDArray[np.bool_], change: float) -> bool:

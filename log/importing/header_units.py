@@ -118,6 +118,8 @@ def unit_slip(header: str, unit: str, scale: float) -> str | None:
 
     A scale between different quantities, such as a force constant, may be anything but 1.
     """
+    if header == unit.replace(" ", "").lower():
+        return None  # a column's name in small letters: nm is N m too
     ours, theirs = known_unit(unit), known_unit(header)
     if ours is None or theirs is None:
         return None

@@ -76,3 +76,12 @@ def test_moves_that_end_at_rest_are_not_clipped_but_moves_that_are_cut_off_are()
     assert clipping_remarks("x", "m", noisy, output=True) == []
     assert clipping_remarks("f", "N", noisy, output=False)  # of an input, speed tells nothing
     assert clipping_remarks("x", "m", np.minimum(noisy, 0.7), output=True)
+
+
+def test_steps_of_many_sizes_are_not_clipped_at_the_largest() -> None:
+    rng = np.random.default_rng(1)
+    levels = np.repeat(rng.uniform(-10.0, 10.0, 200), 50)
+    assert clipped_levels(levels) == []
+    # A random signal that is cut off is, also where a converter of 8 bits reads it.
+    cut = np.clip(np.convolve(rng.standard_normal(10_000), np.ones(20) / 5.0, "same"), -1.2, 1.2)
+    assert len(clipped_levels(np.round(cut * 50.0) / 50.0)) == 2

@@ -81,3 +81,8 @@ def test_slip_of_a_unit_is_described_with_the_expected_scale():
         "the header says mm, but unit is m with scale 1; expected scale: 0.001, or unit: mm"
     )
     assert "expected unit: A, or the scale from A to N" in unit_slip("A", "N", 1.0)
+
+
+def test_small_letters_of_the_unit_are_no_other_unit() -> None:
+    assert unit_slip("nm", "N m", 1.0) is None
+    assert unit_slip("nm", "m", 1.0) is not None

@@ -1,0 +1,24 @@
+"""Print a value with its 95 % interval, both to the second digit of the interval."""
+
+from __future__ import annotations
+
+import math
+
+_PLAIN = range(-3, 6)
+"""Powers of ten of numbers that are printed without one."""
+
+
+def value_with_interval(value: float, se: float | None) -> str:
+    """Return a value such as 3.0 +- 0.12 or (3.002 +- 0.032)e8; without an error, five digits."""
+    from ..identification.subspace.response_uncertainty import SURE_95
+
+    if se is None or not 0.0 < se < math.inf or not math.isfinite(value):
+        return f"{value:.5g}"
+    half = SURE_95 * se
+    power = math.floor(math.log10(max(abs(value), half)))
+    shift = 0 if power in _PLAIN else power
+    value, half = value / 10.0**shift, half / 10.0**shift
+    digits = 1 - math.floor(math.log10(half))
+    shown = (f"{round(v, digits):.{max(digits, 0)}f}" for v in (value, half))
+    pair = " +- ".join(shown)
+    return pair if shift == 0 else f"({pair})e{shift}"

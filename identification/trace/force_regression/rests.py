@@ -1,15 +1,17 @@
-"""Find where a DOF rests: its speed is not told from zero for longer than a low-pass remembers."""
+"""Find where a DOF rests: its speed is not told from zero for longer than it takes to turn."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_opening
+from scipy.ndimage import binary_dilation
 
 Array = NDArray[np.float64]
 
 _SURELY = 5.0
 """Standard deviations of its noise that a speed exceeds once in two million rows."""
+_TURNS = 2.0
+"""Duration over that of a turn from which on it is a rest: as if it turned at half the rate."""
 
 
 def moving_rows(
@@ -18,16 +20,37 @@ def moving_rows(
     """Return where each DOF moves (N, n).
 
     speed (N, n): per s, below `speed_hz`, of outputs with white noise of deviation sd (n,).
-    memory_s: memory of the low-pass of the force balance. A rest is longer than that, a turn is
-    not; rows within half of it of a rest count as rest. A DOF that moves in no row is taken to move
-    in all.
+    memory_s: memory of the low-pass of the force balance; rows within half of it of a rest count as
+    rest. Dry friction holds a DOF with any force while it rests, also for a moment at a reversal. A
+    DOF that moves in no row is taken to move in all.
     """
     noise = sd * 2.0 * np.pi * np.sqrt(2.0 * Ts_s * speed_hz**3 / 3.0)
     memory = max(round(memory_s / Ts_s), 1)
     found = np.ones(speed.shape, bool)
     for i, (own, limit) in enumerate(zip(speed.T, _SURELY * noise, strict=True)):
-        rests = binary_opening(np.abs(own) <= limit, np.ones(memory, bool))
+        rests = _rests(np.abs(own), float(limit), memory)
         near = binary_dilation(rests, np.ones(memory // 2 * 2 + 1, bool))
         if not near.all():
             found[:, i] = ~near
+    return found
+
+
+def _rests(speed: Array, limit: float, memory: int) -> NDArray[np.bool_]:
+    """Return the rows (N,) of rests, of the size of a speed below a limit.
+
+    A turn crosses from -limit to limit at the rate by which the speed grows before and after it.
+    What lasts longer than the memory is a rest at any rate.
+    """
+    slow = np.concatenate([[False], speed <= limit, [False]])
+    edges = np.flatnonzero(slow[1:] != slow[:-1]).reshape(-1, 2)
+    aside = max(memory // 4, 1)
+    before = speed[np.maximum(edges[:, 0] - aside, 0)] - limit
+    after = speed[np.minimum(edges[:, 1] - 1 + aside, len(speed) - 1)] - limit
+    rate = np.maximum(before + after, 0.0) / (2.0 * aside)
+    rows = edges[:, 1] - edges[:, 0]
+    # Two rows at least: one may be slow by chance.
+    rest = (rows > 1) & (rows * rate > _TURNS * 2.0 * limit) | (rows >= memory)
+    found = np.zeros(len(speed), bool)
+    for begin, end in edges[rest].tolist():
+        found[begin:end] = True
     return found

@@ -82,6 +82,22 @@ def test_rests_are_told_from_moves_and_turns() -> None:
     assert moving_rows(np.zeros((100, 1)), sd, TS, hz, 0.05).all()  # what never moves stays in
 
 
+def test_short_stop_is_told_from_a_turn() -> None:
+    sd, hz = np.array([1e-6]), 50.0
+    limit = 5.0 * float(sd[0]) * 2 * pi * np.sqrt(2 * TS * hz**3 / 3)
+    ramp = np.linspace(-40.0 * limit, 40.0 * limit, 401)  # it turns within ten rows
+    stop = np.concatenate([ramp[:201], np.zeros(30), ramp[201:]])
+    still = np.full(100, 40.0 * limit)
+    turned = np.concatenate([-still, ramp, still])[:, None]
+    stopped = np.concatenate([-still, stop, still])[:, None]
+    memory_s = 60 * TS
+    assert moving_rows(turned, sd, TS, hz, memory_s).all()
+    moves = moving_rows(stopped, sd, TS, hz, memory_s)[:, 0]
+    # 30 rows and what it takes to turn, and half of the memory before and after.
+    assert np.count_nonzero(~moves) == pytest.approx(30 + 10 + 60, abs=4)
+    assert not moves[315]
+
+
 def test_model_of_which_every_term_is_free_keeps_the_scale_of_its_input() -> None:
     """An equation holds times any factor: all numbers are in proportion to the one that is held."""
     known = model(PLANT, MODEL)

@@ -41,7 +41,7 @@ def fitted_rivals(
         fitted.append(_Fitted.of(beside, rated, training, least, options))
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
-    alike.sort(key=lambda f: f.numbers)
+    alike.sort(key=lambda f: (f.numbers, f.rated.as_simpler))
     if not beside.placed:
         # What the noise of the readings tells of the place of a lag is none of the plant.
         same = alike[0].rated.placed.effect.same_if_linear

@@ -45,8 +45,8 @@ class FoundLaw:
     left_share: share of the squared missing force without it that is left with it, of what a free
     form explains. least_gain: share that an effect must take. curve: free form of its signal that
     surely improves on it, None without one. grew: whether the model with all effects misses more
-    force in the rows that neither fitted nor chose, or its free run does. told: whether the force
-    of one of its amplitudes is told from zero.
+    force in the rows that neither fitted nor chose. told: whether the force of one of its
+    amplitudes is told from zero.
     """
 
     rated: Rated
@@ -81,7 +81,7 @@ class FoundLaw:
                 self.left_share > self.least_gain
             ),
             "no amplitude of it is told from zero": not self.told,
-            "the rows that neither fitted nor chose miss more with what was found": self.grew,
+            "the rows that neither fitted nor chose miss more force with what was found": self.grew,
         }
         return tuple(reason for reason, so in reasons.items() if so)
 
@@ -343,11 +343,8 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         for p, own in zip(trace.found.point.placed, trace.force_errors, strict=True)
     }
     laws = []
-    errors_there = pooled_errors(trace)
-    before, after = (float(np.linalg.norm(e.force_percent)) for e in errors_there)
-    run, run_after = (float(np.linalg.norm(e.error / trace.noise_sd)) for e in errors_there)
-    # Of a free run that did not converge the comparison with nan is false.
-    grew = after > before or run_after > trace.options.explained * run
+    before, after = (float(np.linalg.norm(e.force_percent)) for e in pooled_errors(trace))
+    grew = after > before
     known = {p.effect.identity for p in trace.found.point.placed}
     surely = trace.options.standard_errors
     for rated, left in zip(trace.found.rated, trace.left_share, strict=True):

@@ -38,7 +38,7 @@ _COMPUTE = (
     *("benchmarks/test_simulated_unlisted_effects", "benchmarks/test_hidden_effects"),
     *("benchmarks/test_imported_plant_simulation", "benchmarks/test_search_numbers"),
     *("benchmarks/test_search_option_sensitivity", "benchmarks/test_support_calibration"),
-    "benchmarks/test_sticking_plants",
+    *("benchmarks/test_sticking_plants", "benchmarks/test_swinging_plants"),
     *("drivers/can/test_canopen_fuzz", "drivers/can/test_reading_collector_fuzz"),
     *("drivers/can/test_sdo_fuzz", "drivers/serial/test_transaction_fuzz"),
 )

@@ -141,7 +141,8 @@ def _simulated(
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             run = free_run(at, record, sd)
-            error = (e.y - run.q)[run.counts_from :]
+            readings = run.gap @ record.places.decoupling.T
+            error = (e.y - readings)[run.counts_from :]
             rms = np.sqrt(np.mean(error**2, axis=0))
     except (IdentificationError, np.linalg.LinAlgError):
         return np.full(e.y.shape[1], np.nan), False

@@ -100,6 +100,9 @@ def test_nonlinear_sensor_is_told_from_a_nonlinear_spring() -> None:
     assert abs(b["value"] - 40.0) < 4.0 * b["se"]  # one in 16,000
     force = found["validation"]["force_percent"]
     assert force["after"] < 0.3 * force["before"]
+    # The free run is compared where the sensor reads it.
+    assert found["validation"]["metric"] == "free_run"
+    assert found["validation"]["after"] < 0.3 * found["validation"]["before"]
 
 
 def test_lag_of_the_only_sensor_is_not_told_from_that_of_the_only_actuator() -> None:

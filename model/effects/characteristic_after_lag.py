@@ -98,6 +98,7 @@ def _with(places: Places, extent: Extent, coil: int, name: str, at: float) -> Ef
         absorbed_by=_LINEAR,
         told_apart_by=_TOLD_APART,
         contains={simpler: _without_lag, "actuator_lag": tuple},
+        equal=("lag", "tail"),
     )
 
 

@@ -46,7 +46,7 @@ class FoundLaw:
     form explains. least_gain: share that an effect must take. curve: free form of its signal that
     surely improves on it, None without one. grew: whether the model with all effects misses more
     force in the rows that neither fitted nor chose. told: whether the force of one of its
-    amplitudes is told from zero.
+    amplitudes is told from zero. surely: standard errors from which on two numbers differ.
     """
 
     rated: Rated
@@ -59,6 +59,7 @@ class FoundLaw:
     curve: Rated | None
     grew: bool
     told: bool
+    surely: float
 
     @property
     def doubtful(self) -> bool:
@@ -76,7 +77,9 @@ class FoundLaw:
         if self.free:
             return ()
         left = f"{100 * self.left_share:.2g} %"
+        pair = " and ".join(self.placed.effect.equal or ())
         reasons = {
+            f"its {pair} would be the same, but differ": self.unequal,
             f"of the squared missing force without it, {left} is left": (
                 self.left_share > self.least_gain
             ),
@@ -84,6 +87,21 @@ class FoundLaw:
             "the rows that neither fitted nor chose miss more force with what was found": self.grew,
         }
         return tuple(reason for reason, so in reasons.items() if so)
+
+    @property
+    def unequal(self) -> bool:
+        """Whether two numbers that are one if the law is all there is differ by half, surely.
+
+        By less they differ where the law is nearly right: a delay that is taken for a lag.
+        """
+        if self.placed.effect.equal is None or self.alternatives:
+            return False
+        one, other = (self.parameters[name] for name in self.placed.effect.equal)
+        if one.se is None or other.se is None:
+            return False
+        apart = abs(one.value - other.value)
+        error = math.hypot(one.se, other.se)
+        return apart > max(self.surely * error, 0.5 * max(abs(one.value), abs(other.value)))
 
     @property
     def inexact(self) -> str:
@@ -366,6 +384,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.curves.get(rated.placed.effect.identity),
                 grew,
                 bool(np.any(surely * errors[rated.placed.effect.identity] < 1.0)),
+                surely,
             )
         )
     return tuple(laws)

@@ -41,10 +41,10 @@ def fitted_rivals(
         fitted.append(_Fitted.of(beside, rated, training, least, options))
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
-    alike.sort(key=lambda f: (f.numbers, f.rated.as_simpler))
+    alike.sort(key=lambda f: f.numbers)
     if not beside.placed:
         # What the noise of the readings tells of the place of a lag is none of the plant.
-        same = alike[0].rated.placed.effect.same_if_linear
+        same = {key for f in alike for key in f.rated.placed.effect.same_if_linear}
         known = [id(f) for f in alike]
         alike += [f for f in fitted if f.rated.placed.effect.key in same and id(f) not in known]
     support = _support(fitted, ranking, options)

@@ -33,10 +33,10 @@ from ..records.record_from_log import TraceRecord
 from ..records.searched_effects import searched_effects
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
+from .certainty_of_effects import Certainty, without_effect
 from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
 from .held_out_gain import Blocks
-from .intervals import Uncertainty, relative_force_errors
 from .position_spectrum import position_periods
 from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
@@ -165,30 +165,24 @@ def _traced(
     found = with_simpler_laws(found, table.named, training, options)
 
     progress("intervals", 0.9)
-    others = [
-        _training_below(found.point, train, hold, limit_hz * _MIDDLE / step, law_hz, sd, options)
-        for step in BAND_STEPS
-        if step != _MIDDLE
-    ]
-    noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
-    more = np.sqrt(2.0) * sd
-    others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
-    richer = _with_what_came_near(found, training, options)
-    uncertainty = Uncertainty.of(found.point, training, others, richer)
-    told = relative_force_errors(found.point, fitted, uncertainty)
-    whole = Beside.of(found.point, training)
-    left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
-    form = np.where(training.all_free, np.nan, _rms(left))
-    force = _rms([r.acting_force(found.point) for r in fitted])
-    quiet = _rms(
-        [
-            r.varying(r.missing_force(found.point)) - own.varying(own.missing_force(found.point))
-            for r, own in zip(others[-1].records, fitted, strict=True)
+
+    def judged(found: Searched) -> Certainty:
+        others = [
+            _training_below(
+                found.point, train, hold, limit_hz * _MIDDLE / step, law_hz, sd, options
+            )
+            for step in BAND_STEPS
+            if step != _MIDDLE
         ]
-    )
-    # Where all terms of an equation are free there is no form: all but the readings' noise counts.
-    least = np.where(np.isfinite(form), form, quiet)
-    left_share = _left_share(found, training, least / force, options)
+        noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
+        more = np.sqrt(2.0) * sd
+        others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
+        return Certainty.of(found, fitted, training, others, options)
+
+    last = judged(found)
+    while (empty := last.says_nothing(options)) is not None:
+        found = without_effect(found, empty, training)
+        last = judged(found)
     curves = curves_beside_laws(found.point, free, training, options)
     progress("reporting on unseen rows", 0.95)
     noise = stated_noise([r.experiment for r in records])
@@ -200,58 +194,11 @@ def _traced(
         for point in (declared, found.point)
     )
     return ForceTrace(
-        config, places, declared, found, uncertainty.standard_errors(), told, before, after,
-        100.0 * form / force, left_share, curves, sd, noise is not None, limit_hz, fitted, reported,
+        config, places, declared, found, last.errors, last.force_errors, before, after,
+        100.0 * last.form, last.left_share, curves, sd, noise is not None, limit_hz, fitted,
+        reported,
         (*notes, *held, *table.notes), options,
     )  # fmt: skip
-
-
-def _with_what_came_near(
-    found: Searched, training: Training, options: SearchOptions
-) -> list[ForceModel]:
-    """Return the fitted models with each effect that is no chance, but was too small to be added.
-
-    It may be there: the numbers of what was found are not better known than it changes them.
-    """
-    near = [
-        r.placed
-        for r in found.nearest
-        if not r.free
-        and r.gain.elsewhere
-        and r.gain.statistic > options.standard_errors
-        and r.share > options.least_gain
-        and r.placed.effect.identity not in {p.effect.identity for p in found.point.placed}
-    ]
-    more = (replace(found.point, placed=(*found.point.placed, placed)) for placed in near)
-    return [training.fit(point) for point in more]
-
-
-def _left_share(
-    found: Searched, training: Training, least: Array, options: SearchOptions
-) -> tuple[float, ...]:
-    """Return for each effect the share of the squared missing force without it, the others fitted
-    again, that is left with it, at the DOF where it takes most.
-
-    least (n,): what a free form leaves, or the noise, over the acting force; only what is beyond it
-    counts, and only if an effect must take as much.
-    """
-    plain = training.plain()
-
-    def missing(point: ForceModel) -> Array:
-        return missing_share(plain.at(point))
-
-    after = missing(found.point)
-    beyond = np.where(after - least > options.least_force, after**2 - least**2, 0.0)
-    shares = []
-    for rated in found.rated:
-        identity = rated.placed.effect.identity
-        others = tuple(p for p in found.point.placed if p.effect.identity != identity)
-        without = missing(training.fit(replace(found.point, placed=others)))
-        taken = without**2 - after**2
-        most = int(np.argmax(taken))
-        there = beyond[most] + max(float(taken[most]), 0.0)
-        shares.append(float(beyond[most] / there) if there > 0.0 else 0.0)
-    return tuple(shares)
 
 
 def _weighed(
@@ -351,10 +298,6 @@ def _blocks(records: Sequence[TraceRecord], limit_hz: float, options: SearchOpti
             "longer, excite more, or filter less"
         )
     return min(options.blocks, int(independent / _ROWS_PER_BLOCK))
-
-
-def _rms(values: Sequence[Array]) -> Array:
-    return np.asarray(np.sqrt(np.mean(np.concatenate(list(values)) ** 2, axis=0)))
 
 
 def pooled_errors(trace: ForceTrace) -> tuple[PooledError, PooledError]:

@@ -1,0 +1,146 @@
+"""Judge how sure found effects are: errors of their numbers, what is left with each, whether it may
+be zero."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..search_options import SearchOptions
+from .candidate_fit import Beside
+from .force_record import ForceModel, ForceRecord
+from .intervals import Uncertainty, relative_force_errors
+from .richest_free_form import residual_of_richest
+from .search import Searched
+from .training_records import Training, missing_share
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """How sure what was found is: fields of ForceTrace, and the share that a free form leaves."""
+
+    found: Searched
+    errors: Array
+    force_errors: list[Array]
+    form: Array
+    left_share: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls,
+        found: Searched,
+        fitted: Sequence[ForceRecord],
+        training: Training,
+        others: Sequence[Training],
+        options: SearchOptions,
+    ) -> Certainty:
+        """Judge the result of a search; `others`: in other bands, the last with more noise."""
+        richer = _with_what_came_near(found, training, options)
+        uncertainty = Uncertainty.of(found.point, training, others, richer)
+        whole = Beside.of(found.point, training)
+        left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
+        force = _rms([r.acting_force(found.point) for r in fitted])
+        form = np.where(training.all_free, np.nan, _rms(left)) / force
+        quiet = _rms(
+            [
+                r.varying(r.missing_force(found.point))
+                - own.varying(own.missing_force(found.point))
+                for r, own in zip(others[-1].records, fitted, strict=True)
+            ]
+        )
+        # Where all terms of an equation are free there is no form: all but the readings' noise
+        # counts.
+        least = np.where(np.isfinite(form), form, quiet / force)
+        return cls(
+            found,
+            uncertainty.standard_errors(),
+            relative_force_errors(found.point, fitted, uncertainty),
+            form,
+            _left_share(found, training, least, options),
+        )
+
+    def says_nothing(self, options: SearchOptions) -> str | None:
+        """Return the effect, by identity, that leaves more than it takes and may be zero, if any.
+
+        Other effects that were found later have taken its place, or its fit has moved the model.
+        """
+        errors = {
+            p.effect.identity: own
+            for p, own in zip(self.found.point.placed, self.force_errors, strict=True)
+        }
+        for rated, left in zip(self.found.rated, self.left_share, strict=True):
+            identity = rated.placed.effect.identity
+            told = np.any(options.standard_errors * errors[identity] < 1.0)
+            if not rated.free and left > 0.5 and not told:
+                return identity
+        return None
+
+
+def without_effect(found: Searched, identity: str, training: Training) -> Searched:
+    """Return the result without an effect, the model fitted again."""
+    kept = tuple(p for p in found.point.placed if p.effect.identity != identity)
+    point = training.fit(replace(found.point, placed=kept))
+    last = {p.effect.identity: p for p in kept}
+    rated = tuple(
+        replace(r, placed=last[r.placed.effect.identity])
+        for r in found.rated
+        if r.placed.effect.identity != identity
+    )
+    return replace(found, point=point, rated=rated, dropped=(*found.dropped, identity))
+
+
+def _with_what_came_near(
+    found: Searched, training: Training, options: SearchOptions
+) -> list[ForceModel]:
+    """Return the fitted models with each effect that is no chance, but was too small to be added.
+
+    It may be there: the numbers of what was found are not better known than it changes them.
+    """
+    near = [
+        r.placed
+        for r in found.nearest
+        if not r.free
+        and r.gain.elsewhere
+        and r.gain.statistic > options.standard_errors
+        and r.share > options.least_gain
+        and r.placed.effect.identity not in {p.effect.identity for p in found.point.placed}
+    ]
+    more = (replace(found.point, placed=(*found.point.placed, placed)) for placed in near)
+    return [training.fit(point) for point in more]
+
+
+def _left_share(
+    found: Searched, training: Training, least: Array, options: SearchOptions
+) -> tuple[float, ...]:
+    """Return for each effect the share of the squared missing force without it, the others fitted
+    again, that is left with it, at the DOF where it takes most.
+
+    least (n,): what a free form leaves, or the noise, over the acting force; only what is beyond it
+    counts, and only if an effect must take as much.
+    """
+    plain = training.plain()
+
+    def missing(point: ForceModel) -> Array:
+        return missing_share(plain.at(point))
+
+    after = missing(found.point)
+    beyond = np.where(after - least > options.least_force, after**2 - least**2, 0.0)
+    shares = []
+    for rated in found.rated:
+        identity = rated.placed.effect.identity
+        others = tuple(p for p in found.point.placed if p.effect.identity != identity)
+        without = missing(training.fit(replace(found.point, placed=others)))
+        taken = without**2 - after**2
+        most = int(np.argmax(taken))
+        there = beyond[most] + max(float(taken[most]), 0.0)
+        shares.append(float(beyond[most] / there) if there > 0.0 else 0.0)
+    return tuple(shares)
+
+
+def _rms(values: Sequence[Array]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.concatenate(list(values)) ** 2, axis=0)))

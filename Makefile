@@ -42,7 +42,7 @@ test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh
 
 bench: $(DEV)
-	@failed=; for file in $$(grep -lE "benchmark_runner" $$(grep -l __main__ benchmarks/*/*.py)); do \
+	@failed=; for file in $$(grep -lE "benchmark_runner|show_plants" $$(grep -l __main__ benchmarks/*/*.py)); do \
 	  echo "== $$file"; $(BIN)/python "$$file" --quick || failed="$$failed $$file"; \
 	done; \
 	if [ -n "$$failed" ]; then echo "benchmarks that failed:$$failed" >&2; exit 1; fi

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
 from functools import partial
@@ -250,10 +250,17 @@ def intervals(trace: ForceTrace, kind: Kind, plant: Stage | Shaft) -> Iterator[b
 
 def main() -> None:
     """Print the figures of all plants."""
-    options = parser("Trace moves that end at rest, and shafts; --quick: one seed of each")
+    show_plants("moves that end at rest, and shafts", KINDS, judged, FIRST_SEED)
+
+
+def show_plants(
+    what: str, kinds: Iterable[str], judged: Callable[[str, int], Result], first_seed: int
+) -> None:
+    """Judge plants of some kinds and seeds by the command's options, and print their figures."""
+    options = parser(f"Trace {what}; --quick: one seed of each")
     options.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help="of each kind")
-    options.add_argument("--first-seed", type=int, default=FIRST_SEED, metavar="N")
-    options.add_argument("--kinds", nargs="+", default=(*KINDS,), choices=KINDS, metavar="KIND")
+    options.add_argument("--first-seed", type=int, default=first_seed, metavar="N")
+    options.add_argument("--kinds", nargs="+", default=(*kinds,), choices=(*kinds,), metavar="KIND")
     arguments = options.parse_args()
     count = QUICK if arguments.quick else arguments.seeds
     seeds = range(arguments.first_seed, arguments.first_seed + count)
@@ -267,7 +274,7 @@ def main() -> None:
                 print(f"{len(results)}/{len(todo)} {result}", file=sys.stderr, flush=True)
         yield from figures(results)
 
-    show("Moves and shafts", arguments, measure)
+    show(what.capitalize(), arguments, measure)
 
 
 def figures(results: list[Result]) -> Iterator[Figure]:

@@ -6,19 +6,14 @@ Each plant has numbers of its own, and a declared linear model that is 10 to 20 
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from levid.benchmarks.harness.benchmark_runner import Figure, parser, show
-from levid.benchmarks.trace.moves_and_shafts import Named, Result, figures
+from levid.benchmarks.trace.moves_and_shafts import RECORDS, Named, Result, show_plants
 from levid.benchmarks.trace.swinging_plants import Plant
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
@@ -29,7 +24,6 @@ from levid.identification.trace.force_regression.trace_imported import trace_rec
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.model.effects.candidate_effects import all_effects
 
-SEEDS, QUICK, RECORDS = 4, 1, 3
 FIRST_SEED = 70_000
 
 ONE = """
@@ -248,24 +242,7 @@ def judged(name: str, seed: int) -> Result:
 
 def main() -> None:
     """Print the figures of all plants."""
-    options = parser("Trace erring sensors, propellers, a swinging arm; --quick: one seed of each")
-    options.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help="of each kind")
-    options.add_argument("--first-seed", type=int, default=FIRST_SEED, metavar="N")
-    options.add_argument("--kinds", nargs="+", default=(*KINDS,), choices=KINDS, metavar="KIND")
-    arguments = options.parse_args()
-    count = QUICK if arguments.quick else arguments.seeds
-    seeds = range(arguments.first_seed, arguments.first_seed + count)
-    todo = [(kind, seed) for seed in seeds for kind in arguments.kinds]
-
-    def measure() -> Iterator[Figure]:
-        results = list[Result]()
-        with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-            for result in pool.map(judged, *zip(*todo, strict=True)):
-                results.append(result)
-                print(f"{len(results)}/{len(todo)} {result}", file=sys.stderr, flush=True)
-        yield from figures(results)
-
-    show("Erring sensors, propellers and swinging arms", arguments, measure)
+    show_plants("erring sensors, propellers, swinging arms", KINDS, judged, FIRST_SEED)
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ def _static(places: Places, coil: int, name: str, at: float) -> Effect:
         title,
         "actuator_nonlinearity",
         (places.actuator(coil),),
-        f"force = F + a {added}" if not at else "force = F + a (F - F_m)^2",
+        f"force = F + a {added}" if not at else f"force = F + a (F - F_m)^2, F_m = {at:g}",
         (Quantity("a", per_unit(places.command_unit(coil), power - 1)),),
         partial(_power, coil=coil, name=name, at=at),
         absorbed_by=_LINEAR,

@@ -288,7 +288,7 @@ class Effect:
     along_motion: Callable[[Signals, Sequence[float], Sequence[float]], Term] | None = None
     """Function of a true motion, shape and amplitudes that returns the whole contribution, for
     effects whose terms are functions of the readings; None if terms are those of the motion."""
-    equal: tuple[str, str] | None = None
+    equal_numbers: tuple[str, str] | None = None
     """Two numbers, by name, that are one if the law is all there is: lateness and duration of a
     lag; None without such a pair."""
     same_if_linear: tuple[str, ...] = ()

@@ -71,7 +71,8 @@ def _after(places: Places, coil: int, name: str, at: float) -> Effect:
         f"Actuator with {_SQUARES[name]} after its lag",
         "actuator_nonlinearity",
         (places.actuator(coil),),
-        f"force = F_l + a {_square_in_words(name, at)}, F_l the command after the model's lag",
+        f"force = F_l + a {_square_in_words(name, at)}, F_l the command after the model's lag"
+        + _mean_in_words(at),
         (Quantity("a", per_unit(places.command_unit(coil), 1)),),
         partial(_after_lag, coil=coil, square=partial(_square, name=name, at=at)),
         absorbed_by=_LINEAR,
@@ -87,7 +88,7 @@ def _with(places: Places, extent: Extent, coil: int, name: str, at: float) -> Ef
         "actuator_nonlinearity",
         (places.actuator(coil),),
         f"force = F + (F_l - F) lag / tail + a {_square_in_words(name, at)}, "
-        "F_l the command lagged by tail",
+        "F_l the command lagged by tail" + _mean_in_words(at),
         (
             Quantity("lag", "s", -extent.late_s),
             Quantity("a", per_unit(places.command_unit(coil), 1)),
@@ -98,12 +99,16 @@ def _with(places: Places, extent: Extent, coil: int, name: str, at: float) -> Ef
         absorbed_by=_LINEAR,
         told_apart_by=_TOLD_APART,
         contains={simpler: _without_lag, "actuator_lag": tuple},
-        equal=("lag", "tail"),
+        equal_numbers=("lag", "tail"),
     )
 
 
 def _square_in_words(name: str, at: float) -> str:
     return "F_l |F_l|" if name == "squared" else "(F_l - F_m)^2" if at else "F_l^2"
+
+
+def _mean_in_words(at: float) -> str:
+    return f", F_m = {at:g}" if at else ""
 
 
 def _after_lag(

@@ -47,7 +47,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((_LATE_S,),),
                 absorbed_by=places.worded(_LAGS),
                 told_apart_by=places.worded(_ONE_BY_ONE),
-                equal=("lag", "tail"),
+                equal_numbers=("lag", "tail"),
                 same_if_linear=("reading.lag",) if single else (),
             ),
             Effect(
@@ -62,7 +62,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ((_LATE_S,),),
                 absorbed_by=places.worded(_DELAYS),
                 told_apart_by=places.worded(_ONE_BY_ONE),
-                equal=("delay", "back"),
+                equal_numbers=("delay", "back"),
                 same_if_linear=("reading.delay",) if single else (),
             ),
         ]

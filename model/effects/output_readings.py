@@ -80,7 +80,7 @@ def effects(places: Places) -> list[Effect]:
                 absorbed_by="of a linear plant with one input: a delay of the actuator",
                 told_apart_by="a second sensor or another source of force",
                 along_motion=partial(_delayed_reading, sensor=i),
-                equal=("delay", "back"),
+                equal_numbers=("delay", "back"),
                 same_if_linear=("delay",) if single else (),
             ),
         ]

@@ -43,7 +43,7 @@ def fitted_rivals(
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
     alike.sort(key=lambda f: f.numbers)
     if not beside.placed:
-        # What the noise of the readings tells of the place of a lag is none of the plant.
+        # The noise of the readings makes one of the two fit better, whichever is true.
         same = {key for f in alike for key in f.rated.placed.effect.same_if_linear}
         known = [id(f) for f in alike]
         alike += [f for f in fitted if f.rated.placed.effect.key in same and id(f) not in known]

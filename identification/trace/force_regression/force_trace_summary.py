@@ -77,7 +77,7 @@ class FoundLaw:
         if self.free:
             return ()
         left = f"{100 * self.left_share:.2g} %"
-        pair = " and ".join(self.placed.effect.equal or ())
+        pair = " and ".join(self.placed.effect.equal_numbers or ())
         reasons = {
             f"its {pair} would be the same, but differ": self.unequal,
             f"of the squared missing force without it, {left} is left": (
@@ -94,9 +94,9 @@ class FoundLaw:
 
         By less they differ where the law is nearly right: a delay that is taken for a lag.
         """
-        if self.placed.effect.equal is None or self.alternatives:
+        if self.placed.effect.equal_numbers is None or self.alternatives:
             return False
-        one, other = (self.parameters[name] for name in self.placed.effect.equal)
+        one, other = (self.parameters[name] for name in self.placed.effect.equal_numbers)
         if one.se is None or other.se is None:
             return False
         apart = abs(one.value - other.value)

@@ -86,4 +86,6 @@ def test_square_after_the_lag_is_named(declared: bool) -> None:
     values |= dict(zip(trace.found.point.parameters.names, trace.found.point.values, strict=True))
     # Within 1 %: their standard errors are 0.1 to 0.3 %.
     assert values["lag" if declared else "tail"] == pytest.approx(LAG_S, rel=0.01)
-    assert values["b"] * values["a"] == pytest.approx(THRUST, rel=0.05)
+    # Beside a slope that is free, the product is told by the curvature, a seventh of the force: an
+    # equation that is right to 0.5 % of the force (`SearchOptions.least_force`) gives it to 4 %.
+    assert values["b"] * values["a"] == pytest.approx(THRUST, rel=0.04)

@@ -109,16 +109,17 @@ def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: floa
     """Return the squared error that an effect takes at a shape.
 
     None if less than `told_from_model` of its squared force remains beside the model's columns, or
-    beside the force of the inputs, of inertia, or of all else: it is then a change of the model's
-    parameters, or of the scale of one of these.
+    beside the force of the inputs, of inertia, or of all else, with the model's effects or without:
+    it is then a change of the model's parameters, or of the scale of one of these.
     """
     fit = beside.fitted(effect, shape, told_from_model, keep=True)
     whole = np.sum(fit.X * fit.X, axis=0)
     remains = np.sum(fit.left * fit.left, axis=0)
     n = len(beside.at.power)
-    for kind, i in product(range(3), range(n)):
+    whether = (beside.at.groups, beside.at.bare)
+    for groups, kind, i in product(whether, range(len(whether[0][0])), range(n)):
         one = np.arange(n) == i
-        group = np.concatenate([(g[kind] * one).reshape(-1) for g in beside.at.groups])
+        group = np.concatenate([(g[kind] * one).reshape(-1) for g in groups])
         along = (group @ fit.X) ** 2 / max(float(group @ group), np.finfo(float).tiny)
         remains = np.minimum(remains, whole - along)
     if not np.any(remains > told_from_model * whole):
@@ -129,8 +130,11 @@ def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: floa
 def fitted_candidate(
     beside: Beside, effect: Effect, shape: Shape, told_from_model: float
 ) -> Placed | None:
-    """Return an effect with the numbers that leave least, from a start shape; None if it does
-    nothing."""
+    """Return an effect with the numbers that leave least, from a start shape.
+
+    None if it does nothing there, or is a change of the model's parameters, as `taken_at` says: a
+    dead zone that is wider than the commands is a gain.
+    """
 
     def residual(x: Array) -> Array:
         return beside.fitted(effect, _shape(effect.shape, x), told_from_model).rest
@@ -147,10 +151,11 @@ def fitted_candidate(
             ftol=_FELL,
         )
         x = found.x
-    amplitudes = beside.fitted(effect, _shape(effect.shape, x), told_from_model).amplitudes
-    if not np.any(amplitudes):
+    end = _shape(effect.shape, x)
+    amplitudes = beside.fitted(effect, end, told_from_model).amplitudes
+    if not np.any(amplitudes) or taken_at(beside, effect, end, told_from_model) is None:
         return None
-    return Placed(effect, _shape(effect.shape, x), tuple(amplitudes.tolist()))
+    return Placed(effect, end, tuple(amplitudes.tolist()))
 
 
 def flat(columns: Sequence[Array]) -> Array:

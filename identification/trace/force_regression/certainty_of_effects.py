@@ -99,7 +99,9 @@ def _with_what_came_near(
 ) -> list[ForceModel]:
     """Return the fitted models with each effect that is no chance, but was too small to be added.
 
-    It may be there: the numbers of what was found are not better known than it changes them.
+    It may be there: the numbers of what was found are not better known than it changes them. If the
+    model misses more force with it, it lowers what has weights alone: with an actuator that is
+    turned round, the controller is a plant that explains what a loop answers to a random force.
     """
     near = [
         r.placed
@@ -110,8 +112,11 @@ def _with_what_came_near(
         and r.share > options.least_gain
         and r.placed.effect.identity not in {p.effect.identity for p in found.point.placed}
     ]
-    more = (replace(found.point, placed=(*found.point.placed, placed)) for placed in near)
-    return [training.fit(point) for point in more]
+    more = [replace(found.point, placed=(*found.point.placed, placed)) for placed in near]
+    plain = training.plain()
+    before = np.linalg.norm(missing_share(plain.at(found.point)))
+    fitted = [training.fit(point) for point in more]
+    return [p for p in fitted if np.linalg.norm(missing_share(plain.at(p))) < before]
 
 
 def _left_share(

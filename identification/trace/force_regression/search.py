@@ -44,9 +44,19 @@ def search(
     training: Training,
     options: SearchOptions,
     progress: Progress,
+    begun: Searched | None = None,
 ) -> Searched:
-    """Add effects to a fitted model until none is confirmed; free forms where no named one is."""
-    state, nearest = _grown(_State(point, {}, ()), named, training, options, progress)
+    """Add effects to a fitted model until none is confirmed; free forms where no named one is.
+
+    begun: what a search with other weights found, from which this one goes on.
+    """
+    state = _State(point, {}, ())
+    if begun is not None:
+        rated = {r.placed.effect.identity: r for r in begun.rated}
+        state = _State(training.fit(begun.point), rated, ())
+        if len(rated) == 1:  # of several, rivals are compared at the end
+            state = _against_rivals(state, training, options)
+    state, nearest = _grown(state, named, training, options, progress)
     other = _with_another_choice(state, named, training, options, progress)
     if other is not state:
         state, nearest = _grown(other, named, training, options, progress)
@@ -60,7 +70,8 @@ def search(
         state = _without_idle(after, training, options)
         state, nearest = _grown(state, named, training, options, progress)
     progress("comparing rivals", 0.8)
-    state = _against_rivals(state, training, options)
+    if len(state.rated) > 1:
+        state = _against_rivals(state, training, options)
     last = {p.effect.identity: p for p in state.point.placed}
     final = [replace(r, placed=last[key]) for key, r in state.rated.items()]
     final.sort(key=lambda r: (is_free(r.placed), -r.force))
@@ -299,7 +310,7 @@ def _against_rivals(state: _State, training: Training, options: SearchOptions) -
     """Compare each found effect with its rivals beside all others; take the best or simplest."""
     for identity, rated in list(state.rated.items()):
         own = next((p for p in state.point.placed if p.effect.identity == identity), None)
-        if own is None or is_free(own) or len(state.rated) < 2:
+        if own is None or is_free(own):
             continue
         kept = tuple(p for p in state.point.placed if p is not own)
         rivals = [own.effect, *_new(rated.contenders, kept)]

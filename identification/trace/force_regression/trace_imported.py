@@ -157,16 +157,23 @@ def _traced(
         free_parameters(config),
         placed_effects(config.effects, places, covered),
     )
-    training, declared, held = _weighed(start, fitted, limit_hz, options)
+    training, start, held = _unweighed(start, fitted, limit_hz, options)
+    training, declared = _weighed(training, start, (), options)
     covered = replace(covered, periods=position_periods(declared, fitted, limit_hz))
     table = searched_effects(effects, declared.placed, places, covered, overlap(records))
     free = [e for e in table.free if e.where[0] in places.dof]
-    found = search(declared, table.named, free, training, options, progress)
-    found = with_simpler_laws(found, table.named, training, options)
 
-    progress("intervals", 0.9)
+    def searched(training: Training, begun: Searched | None) -> tuple[Searched, Certainty]:
+        found = search(declared, table.named, free, training, options, progress, begun)
+        found = with_simpler_laws(found, table.named, training, options)
+        progress("intervals", 0.9)
+        last = judged(found, training)
+        while (empty := last.says_nothing(options)) is not None:
+            found = without_effect(found, empty, training)
+            last = judged(found, training)
+        return found, last
 
-    def judged(found: Searched) -> Certainty:
+    def judged(found: Searched, training: Training) -> Certainty:
         others = [
             _training_below(
                 found.point, train, hold, limit_hz * _MIDDLE / step, law_hz, sd, options
@@ -179,10 +186,12 @@ def _traced(
         others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
         return Certainty.of(found, fitted, training, others, options)
 
-    last = judged(found)
-    while (empty := last.says_nothing(options)) is not None:
-        found = without_effect(found, empty, training)
-        last = judged(found)
+    found, last = searched(training, None)
+    if training.whitening.flat and found.rated:
+        # What was missing may have been why the weights were refused.
+        training, point = _weighed(training, found.point, found.rated, options)
+        if not training.whitening.flat:
+            found, last = searched(training, replace(found, point=point))
     curves = curves_beside_laws(found.point, free, training, options)
     progress("reporting on unseen rows", 0.95)
     noise = stated_noise([r.experiment for r in records])
@@ -201,10 +210,10 @@ def _traced(
     )  # fmt: skip
 
 
-def _weighed(
+def _unweighed(
     start: ForceModel, fitted: tuple[ForceRecord, ...], limit_hz: float, options: SearchOptions
 ) -> tuple[Training, ForceModel, tuple[str, ...]]:
-    """Return the training records with their weights, the model fitted to them, and notes on it."""
+    """Return the training records without weights, the model fitted to them, and notes on it."""
     acting = np.concatenate([r.groups(start) for r in fitted], axis=1)
     flat = np.maximum(np.var(acting, axis=1).max(axis=0), np.finfo(float).tiny) * np.ones((2, 1))
     plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
@@ -212,9 +221,20 @@ def _weighed(
     training = Training.unscaled(fitted, plain, blocks)
     start, notes = with_told_scales(start, training, options.told_from_model)
     training = training.with_scale(training.at(start), options.told_from_model)
-    point = training.first_fit(start)
-    beside = Beside.of(point, training)
-    left = residual_of_richest(point, fitted, beside.plain.own)
+    return training, training.first_fit(start), notes
+
+
+def _weighed(
+    training: Training, point: ForceModel, found: Sequence[Rated], options: SearchOptions
+) -> tuple[Training, ForceModel]:
+    """Return the records weighed by what the richest form leaves of a model, and its fit to them.
+
+    If this fit misses more force, as much as an effect must take, the records and the point stay as
+    they are: then the weights follow noise in the motion, or a loop's answer to a random force, or
+    something large is missing. found: effects of the point that its file does not declare.
+    """
+    fitted, limit_hz = training.records, training.whitening.cutoff_hz
+    left = residual_of_richest(point, fitted, Beside.of(point, training).plain.own)
     missing = [r.varying(r.missing_force(point)) for r in fitted]
     # If all terms of an equation are free, a free form explains all of it and tells nothing.
     left = [
@@ -222,13 +242,14 @@ def _weighed(
     ]
     white = whitening_of(left, [r.band.row_s for r in fitted], limit_hz)
     weighed = replace(training, whitening=white)
-    weighed = weighed.with_scale(weighed.at(point), options.told_from_model)
-    better = weighed.first_fit(point)
-    flat_at, better_at = (training.plain().at(p) for p in (point, better))
-    if np.any(missing_share(better_at) > options.much_left * missing_share(flat_at)):
-        # The weights follow noise in the motion, not what is missing.
-        return training, point, notes
-    return weighed, better, notes
+    new = {r.placed.effect.identity for r in found}
+    bare = replace(point, placed=tuple(p for p in point.placed if p.effect.identity not in new))
+    weighed = weighed.with_scale(weighed.at(bare), options.told_from_model)
+    fit = weighed.first_fit(point)
+    before, after = (missing_share(training.plain().at(p)) for p in (point, fit))
+    if np.any(after**2 > (1.0 + options.least_gain) * before**2):
+        return training, point
+    return weighed, fit
 
 
 def _training_below(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed, Quantity
 from .force_record import ForceModel, ForceRecord
 from .held_out_gain import Blocks, Columns
@@ -41,14 +42,15 @@ class Evaluated:
     """A model at its present numbers.
 
     missing: weighed missing force of each record (rows, n), times `share`. groups: weighed forces
-    of inputs, inertia and all else (3, rows, n). power (n,): sum of squares of those that set the
-    scale. share (n,): root of the power without effects over that with them, at least 1; relative
-    to Training.reference where that is given.
+    of inputs, inertia and all else (3, rows, n); bare: the same without effects. power (n,): sum of
+    squares of those that set the scale. share (n,): root of the power without effects over that
+    with them, at least 1; relative to Training.reference where that is given.
     """
 
     point: ForceModel
     missing: list[Array]
     groups: list[Array]
+    bare: list[Array]
     power: Array
     share: Array
 
@@ -95,16 +97,17 @@ class Training:
         """Return the missing force of a model, and the forces that it consists of."""
         groups = [self._weighed(r, r.groups(point)) for r in self.records]
         power = self._power(groups)
-        share = np.ones(len(power))
+        share, bare = np.ones(len(power)), groups
         if point.placed:
-            bare = replace(point, placed=())
-            plain = self._power([self._weighed(r, r.groups(bare)) for r in self.records])
+            alone = replace(point, placed=())
+            bare = [self._weighed(r, r.groups(alone)) for r in self.records]
+            plain = self._power(bare)
             ratio = np.divide(plain, power, out=np.ones(len(power)), where=power > 0.0)
             share = np.sqrt(np.maximum(ratio, 1.0))
         free = np.isfinite(self.reference) & (power > 0.0)
         share[free] = np.sqrt(self.reference[free] / power[free])
         missing = [share * (g[1] + g[2] - g[0]) for g in groups]
-        return Evaluated(point, missing, groups, power, share)
+        return Evaluated(point, missing, groups, bare, power, share)
 
     def forces(
         self, at: Evaluated, effect: Effect, shape: Shape, keep: bool = False
@@ -308,9 +311,16 @@ class Training:
         return float(rows * self.whitening.cutoff_hz * self.records[0].kept[0].shape[1])
 
     def cost(self, point: ForceModel) -> float:
-        """Return the sum of squares of the missing force, and of the parameters' priors."""
+        """Return the sum of squares of the missing force, and of the parameters' priors.
+
+        It is infinite for parameters whose mass matrix has no inverse: a bound may be 0 kg.
+        """
         rows = point.parameters.prior_rows(point.values)
-        return self.at(point).squares + float(np.sum(rows[:, -1] ** 2))
+        try:
+            squares = self.at(point).squares
+        except ModelError:
+            return float("inf")
+        return squares + float(np.sum(rows[:, -1] ** 2))
 
     def _step(self, point: ForceModel, way: Array) -> Array:
         """Return the Gauss-Newton step of all free numbers, within the bounds.

@@ -1,0 +1,167 @@
+"""Trace axes in a control loop under random forces that nothing measures, such as turbulence.
+
+The loop answers the random force, so that its command follows it: the force balance then takes part
+of the controller for the plant. What is right is as in sensors_and_swings.py. The simulation is
+written independently of the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.signal import butter, lfilter
+from threadpoolctl import threadpool_limits
+
+from levid.benchmarks.trace.moves_and_shafts import RECORDS, Named, Result, show_plants
+from levid.benchmarks.trace.sensors_and_swings import ONE
+from levid.config.base import parse_text
+from levid.config.model import ModelConfig
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.subspace.response_uncertainty import SURE_95
+from levid.identification.trace.force_regression.force_trace_summary import force_summary
+from levid.identification.trace.force_regression.trace_imported import trace_records
+from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.model.effects.candidate_effects import all_effects
+
+Array = NDArray[np.float64]
+
+FIRST_SEED = 80_000
+STEPS = 10
+TS_S, ROWS = 2e-3, 12_000
+FRICTION, DELAY = ("friction", ("x",)), ("delay", ("f",))
+KINDS: dict[str, frozenset[Named]] = {
+    "nothing missing": frozenset(),
+    "friction": frozenset({FRICTION}),
+    "delay": frozenset({DELAY}),
+}
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis with mass, damping and stiffness in a PID loop, and what its model may lack.
+
+    random: RMS of the random force below random_hz, over that of the loop's command. stick: dry
+    friction. late_rows: of the command.
+    """
+
+    m1: float
+    d1: float
+    k1: float
+    gains: tuple[float, float, float]
+    random: float
+    random_hz: float
+    stick: float = 0.0
+    late_rows: int = 0
+    noise: float = 1e-3
+
+    @classmethod
+    def drawn(cls, kind: str, rng: np.random.Generator) -> Axis:
+        """Return an axis with a loop of two to four times its own rate."""
+        m, rate = rng.uniform(1.0, 4.0), 2 * np.pi * rng.uniform(2.0, 4.0)
+        loop = rng.uniform(2.0, 4.0) * rate
+        gains = (m * (loop**2 - rate**2), 1.4 * m * loop, 0.2 * m * loop**3)
+        return cls(
+            m, 2 * rng.uniform(0.1, 0.3) * rate * m, rate**2 * m, gains, rng.uniform(0.05, 0.25),
+            rng.uniform(4.0, 12.0),
+            stick=0.01 * (2 * np.pi * 4.0) ** 2 * m * rng.uniform(0.3, 0.6) if kind == "friction" else 0.0,
+            late_rows=int(rng.integers(2, 4)) if kind == "delay" else 0,
+        )  # fmt: skip
+
+    def flown(self, seed: int) -> tuple[Array, Array]:
+        """Return the loop's command and the reading (rows, 1) of a record with random set points.
+
+        The size of the random force is found from a record without it.
+        """
+        rng = np.random.default_rng(seed)
+        wanted = 0.01 * rng.uniform(0.5, 1.0) * _below(rng.uniform(3.0, 6.0), rng)
+        other = _below(self.random_hz, rng)
+        noise = self.noise * 0.01 * rng.standard_normal(ROWS)
+        numbers = np.array([self.m1, self.d1, self.k1, self.stick, *self.gains])
+        u, _ = _fly(numbers, wanted, np.zeros(ROWS), noise, self.late_rows, TS_S, STEPS)
+        force = self.random * u.std() * other
+        u, y = _fly(numbers, wanted, force, noise, self.late_rows, TS_S, STEPS)
+        return u[:, None], y[:, None]
+
+
+def _below(limit_hz: float, rng: np.random.Generator) -> Array:
+    x = lfilter(*butter(2, 2.0 * limit_hz * TS_S), rng.standard_normal(ROWS))
+    return np.asarray(x / x.std())
+
+
+@njit
+def _fly(
+    p: Array, wanted: Array, force: Array, noise: Array, late: int, Ts_s: float, steps: int
+) -> tuple[Array, Array]:
+    m, d, k, stick, kp, kd, ki = p
+    q, v, whole, h = 0.0, 0.0, 0.0, Ts_s / steps
+    u, y = np.zeros(len(wanted)), np.zeros(len(wanted))
+    before = wanted[0]
+    for row in range(len(wanted)):
+        y[row] = q + noise[row]
+        error = wanted[row] - y[row]
+        whole += error * Ts_s
+        rate = (error - before) / Ts_s
+        before = error
+        u[row] = kp * error + kd * rate + ki * whole
+        acting = u[max(row - late, 0)] + force[row]
+        for _ in range(steps):
+            half = v + 0.5 * h * (acting - d * v - k * q - stick * np.tanh(v / 1e-3)) / m
+            middle = q + 0.5 * h * v
+            a = (acting - d * half - k * middle - stick * np.tanh(half / 1e-3)) / m
+            q, v = q + h * half, v + h * a
+    return u, y
+
+
+def declared(axis: Axis, rng: np.random.Generator) -> ModelConfig:
+    """Return a linear model with its parameters 10 to 20 % off."""
+    entries = []
+    for name in ("m1", "d1", "k1"):
+        value = getattr(axis, name)
+        off = 1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.2)
+        bounds = f"min: 0, max: {50.0 * value:.9g}"
+        entries.append(f"{name}: {{value: {off * value:.9g}, unit: '1', {bounds}}}")
+    return parse_text(ONE.replace("PARAMETERS", ", ".join(entries)), ModelConfig, "model")
+
+
+def judged(kind: str, seed: int) -> Result:
+    """Return the result of one plant."""
+    rng = np.random.default_rng(seed)
+    axis = Axis.drawn(kind, rng)
+    config = declared(axis, rng)
+    flown = [axis.flown(RECORDS * seed + i) for i in range(RECORDS)]
+    records = [
+        imported_trace_record(Experiment(f"r{n}", TS_S, u, y, {}, frozenset(), False), config)
+        for n, (u, y) in enumerate(flown)
+    ]
+    with threadpool_limits(1):
+        trace = trace_records(records, config, all_effects, lambda *_: None)
+    summary = force_summary(trace)
+    sure = [e for e in summary["effects"] if not e["evidence"]["doubtful"]]
+    found, false = set[Named](), False
+    for e in sure:
+        names = {(a["class"], tuple(a["where"])) for a in (e["alternatives"] or [e])}
+        found |= names & KINDS[kind]
+        false |= not names & KINDS[kind] and e["class"] != "unknown"
+    own = zip(trace.found.point.parameters.names, trace.found.point.values, strict=True)
+    inside = tuple(
+        bool(abs(value - getattr(axis, name)) <= SURE_95 * se)
+        for (name, value), se in zip(own, trace.errors, strict=False)
+    )
+    force = summary["validation"]["force_percent"]
+    return Result(
+        kind, seed, found == KINDS[kind] and not false, false, len(sure) < len(summary["effects"]),
+        inside, (force["before"], force["after"]),
+        "; ".join(e["name"] for e in summary["effects"]) or "nothing",
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Print the figures of all plants."""
+    show_plants("axes in a loop under random forces", KINDS, judged, FIRST_SEED)
+
+
+if __name__ == "__main__":
+    main()

@@ -15,16 +15,15 @@ class SearchOptions:
 
     least_gain: share of what noise does not explain that an effect must take to matter (0.1 is 5 %
     of the RMS error): of the free-run error of held-out records, of which one step ahead its square
-    is enough; else of the errors that it is fitted to. least_free_gain: the same for a free form,
-    which fits a little of everything.
+    is enough; else of the errors that it is fitted to. Weights may not cost as much.
+    least_free_gain: the same for a free form, which fits a little of everything.
 
     accuracy: relative error of an equation that is right, from which follow `inexact`, `alike`,
     `visible`, `least_force` and `told_from_model`. law_accuracy: the same of a law of friction that
     stands for another one, such as eight slip elements for twenty.
 
     explained, much_left: RMS errors over those of noise alone below which records are explained,
-    and above which free forms are asked; also the ratio at which a fit with weights is worse than
-    one without.
+    and above which free forms are asked.
 
     blocks: blocks of time of imported records, by whose scatter an effect is judged. Fewer make the
     scatter uncertain, more make the blocks shorter than what an effect needs to show.

@@ -112,6 +112,10 @@ class ForceRecord:
         moves = self.moves[-len(range(*band.kept.indices(len(self.signals.q)))) :]
         return replace(self, band=band, kept=band.kept_derivatives(), moves=moves, **_empty())
 
+    def counted_at_rest(self, still: NDArray[np.bool_]) -> ForceRecord:
+        """Return the record with the rows of some DOF (n,) counted, whether these rest or not."""
+        return replace(self, moves=np.where(still, 1.0, self.moves))
+
     @property
     def rows(self) -> int:
         """Number of rows that count."""

@@ -142,6 +142,9 @@ def _traced(
         ForceRecord.of(whole, hold, limit_hz, law_hz, sd).counted_from(begin.rows)
         for whole, begin in zip(records, train, strict=True)
     )
+    # Of a DOF that rests in all of them there is nothing better to report.
+    still = ~np.any([r.moves.any(axis=0) for r in reported], axis=0)
+    reported = tuple(r.counted_at_rest(still) for r in reported)
     places = records[0].places
     covered = extent(train)
     # A resonance shows below its frequency as compliance: at half of it, a quarter of the mass's

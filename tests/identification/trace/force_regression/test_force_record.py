@@ -58,3 +58,14 @@ def test_force_that_is_linear_in_the_motion_is_that_of_the_balance() -> None:
     assert missing_share(200.0) < 2e-3
     # Of signals below the limit itself it would pass the low-pass twice.
     assert missing_share(LIMIT_HZ) > 0.02
+
+
+def test_rows_of_a_dof_that_rests_count_where_asked() -> None:
+    y = np.zeros((ROWS, 1))
+    y[: ROWS // 2, 0] = 1e-3 * np.sin(np.arange(ROWS // 2) * TS * 2.0 * np.pi * 5.0)
+    e = Experiment("r", TS, np.zeros((ROWS, 1)), y, {}, frozenset(), False)
+    found = ForceRecord.of(imported_trace_record(e, CONFIG), "zoh", 20.0, 20.0, np.array([1e-6]))
+    end = found.counted_from(3 * ROWS // 4)
+    assert not end.moves.any()
+    assert end.counted_at_rest(np.array([True])).moves.all()
+    assert not end.counted_at_rest(np.array([False])).moves.any()

@@ -61,21 +61,23 @@ class ConfigError(Exception):
 class Strict(BaseModel):
     """Base of every configuration schema: unknown keys are errors, instances are frozen.
 
-    A number may not be given as yes, no, on or off, which YAML reads as true and false.
+    A number may not be given as text or as true and false.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_bool_for_a_number(cls, value: object, info: ValidationInfo) -> object:
+    def _only_numbers_for_a_number(cls, value: object, info: ValidationInfo) -> object:
         field = cls.model_fields[str(info.field_name)]
         types = set(_types(field.annotation))
-        if types & {int, float} and bool not in types and (bools := _bools(value)):
-            raise ValueError(
-                f"expected a number, found {quoted(bools[0])}; YAML reads yes, no, on and off as "
-                "true and false"
-            )
+        if types & {int, float}:
+            words = any(isinstance(kind, str) for kind in types)  # of a Literal
+            kinds = tuple({bool, str} - types - ({str} if words else set()))
+            # Digits that are too many for a number in YAML get an error that says so.
+            others = [x for x in _instances(value, kinds) if len(str(x)) <= MOST_DIGITS]
+            if others:
+                raise ValueError(f"expected a number, found {quoted(others[0])}")
         return value
 
 
@@ -193,10 +195,11 @@ class _LimitError(yaml.MarkedYAMLError):
 class _Loader(yaml.SafeLoader):
     """Read YAML as SafeLoader does, in time proportional to the size of the file.
 
-    1e-4 is a number and 2024-05-01 is text, as in YAML 1.2. Duplicate keys, keys that are lists or
-    mappings, and tags other than those of YAML 1.2's core schema are errors. A scalar longer than
-    MOST_DIGITS is text. Nodes, characters and levels are counted during reading; those of an alias
-    count at each use.
+    1e-4 is a number, yes and 2024-05-01 are text, as in YAML 1.2. What YAML 1.1, YAML 1.2 or Python
+    takes for a number, but not all for the same one, is an error: 020, 0x20, 16:40, 1_000.
+    Duplicate keys, keys that are lists or mappings, and tags other than those of YAML 1.2's core
+    schema are errors. A scalar longer than MOST_DIGITS is text. Nodes, characters and levels are
+    counted during reading; those of an alias count at each use.
     """
 
     def __init__(self, stream: str | bytes) -> None:
@@ -217,6 +220,13 @@ class _Loader(yaml.SafeLoader):
         self._deepest = self._depth
         if isinstance(event, yaml.ScalarEvent):
             self._check_tag(event.tag, _SCALAR_TAGS, event.start_mark)
+            plain = event.implicit[0] or event.tag in (f"{_TAG}int", f"{_TAG}float")
+            short = len(event.value) <= MOST_DIGITS
+            if plain and short and _NUMBER_ELSEWHERE.fullmatch(event.value):
+                raise _LimitError(
+                    f"expected a decimal number such as 20, or text in quotes, found {event.value}",
+                    event.start_mark,
+                )
             self._count(1, len(event.value), 0, event.start_mark)
             node = super().compose_node(parent, index)
         else:
@@ -301,18 +311,33 @@ _COLLECTION_TAGS = {
 _CONVERTED = {
     f"{_TAG}int": "an integer",
     f"{_TAG}float": "a number",
-    f"{_TAG}bool": "a word like yes",
+    f"{_TAG}bool": "true or false",
 }
 """Tags of values that are converted from text, and the expected text."""
-_RESOLVED = {f"{_TAG}{kind}" for kind in ("int", "float", "bool", "null", "merge")}
+_NUMBER_ELSEWHERE = re.compile(
+    r"[-+]?0[0-9_]+|[-+]?0[xX][0-9a-fA-F_]+|[-+]?0[oO][0-7_]+|[-+]?0[bB][01_]+"
+    r"|[-+]?[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?"  # base 60
+    r"|[-+]?(?=[0-9.]+_)[0-9][0-9_]*(\.[0-9_]*)?([eE][-+]?[0-9]+)?|[-+]?\.(?=[0-9]+_)[0-9_]+"
+)
+"""What YAML 1.1, YAML 1.2 or Python takes for a number, but not all of them for the same one."""
+_RESOLVED = {f"{_TAG}{kind}" for kind in ("null", "merge")}
 _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if tag in _RESOLVED]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-# PyYAML follows YAML 1.1, where 1e-4 is text; in YAML 1.2 it is a number.
+# The rest as in the core schema of YAML 1.2.
+_Loader.add_implicit_resolver(
+    f"{_TAG}bool", re.compile(r"(true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
+_Loader.add_implicit_resolver(
+    f"{_TAG}int", re.compile(r"[-+]?(0|[1-9][0-9]*)$"), list("-+0123456789")
+)
 _Loader.add_implicit_resolver(
     f"{_TAG}float",
-    re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    re.compile(
+        r"([-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
+        r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))$"
+    ),
     list("-+0123456789."),
 )
 
@@ -366,10 +391,10 @@ def _types(annotation: Any) -> list[Any]:
     return [kind for part in parts for kind in _types(part)] if parts else [annotation]
 
 
-def _bools(value: object) -> list[bool]:
-    """Return the bools in a value, nested lists and mappings included."""
+def _instances(value: object, kinds: tuple[type, ...]) -> list[object]:
+    """Return what is of some types in a value, entries of nested lists and mappings included."""
     if isinstance(value, dict):
         value = list(value.values())
     if isinstance(value, (list, tuple)):
-        return [inner for part in value for inner in _bools(part)]
-    return [value] if isinstance(value, bool) else []
+        return [inner for part in value for inner in _instances(part, kinds)]
+    return [value] if isinstance(value, kinds) else []

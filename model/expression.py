@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -34,6 +35,8 @@ _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "cos": np.cos,
     "exp": np.exp,
 }
+_DECIMAL = re.compile(r"([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+"""Python also reads 0x20 and 1_000, which YAML reads in other ways or as text."""
 _DEEPEST = 50
 _SHOWN = 60
 
@@ -103,6 +106,11 @@ def _check(node: ast.expr, names: set[str], text: str, depth: int) -> None:
             if not _is_finite(number):
                 raise ExpressionError(
                     f"expected finite numbers, found a too large one in '{_short(text)}'"
+                )
+            written = ast.get_source_segment(text, node) or ""
+            if not _DECIMAL.fullmatch(written):
+                raise ExpressionError(
+                    f"expected decimal numbers, found '{_short(written)}' in '{_short(text)}'"
                 )
         case ast.Name(id=name):
             names.add(name)

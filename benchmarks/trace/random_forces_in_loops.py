@@ -63,10 +63,12 @@ class Axis:
         m, rate = rng.uniform(1.0, 4.0), 2 * np.pi * rng.uniform(2.0, 4.0)
         loop = rng.uniform(2.0, 4.0) * rate
         gains = (m * (loop**2 - rate**2), 1.4 * m * loop, 0.2 * m * loop**3)
+        # Over the force that moves it by 1 cm at 4 Hz.
+        stick = 0.01 * (2 * np.pi * 4.0) ** 2 * m * rng.uniform(0.3, 0.6)
         return cls(
             m, 2 * rng.uniform(0.1, 0.3) * rate * m, rate**2 * m, gains, rng.uniform(0.05, 0.25),
             rng.uniform(4.0, 12.0),
-            stick=0.01 * (2 * np.pi * 4.0) ** 2 * m * rng.uniform(0.3, 0.6) if kind == "friction" else 0.0,
+            stick=stick if kind == "friction" else 0.0,
             late_rows=int(rng.integers(2, 4)) if kind == "delay" else 0,
         )  # fmt: skip
 

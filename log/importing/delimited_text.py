@@ -181,6 +181,8 @@ class _CellParser:
             value = float(cell)
         except ValueError:
             return self._other(line, column, cell)
+        if "_" in cell:
+            return self._other(line, column, cell)
         if not self._point and "." in cell:
             self._set(line, column, cell, point=True)
         return value

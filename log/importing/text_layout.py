@@ -92,7 +92,12 @@ def rows(lines: Iterable[str], separator: str | None, *, strict: bool = True) ->
 
 
 def number(cell: str) -> float | None:
-    """Return the number in a cell, with a decimal point or comma; None if it is not a number."""
+    """Return the number in a cell, with a decimal point or comma; None if it is not a number.
+
+    Python takes 1_0 for 10; in a table it is a slip or a name.
+    """
+    if "_" in cell:
+        return None
     try:
         return float(cell)
     except ValueError:

@@ -25,6 +25,7 @@ from levid.config.base import (
     load_yaml,
     parse,
     parse_text,
+    read_mapping,
 )
 from levid.config.error_messages import _FORMS, MOST_MISTAKES
 from levid.config.load_any_kind import KINDS, load_any
@@ -264,17 +265,76 @@ def test_too_deep_nesting_is_rejected(tmp_path: Path, depth: int) -> None:
     assert f"{place}expected at most {MOST_DEPTH} levels" in error_of(tmp_path, text)
 
 
-@pytest.mark.parametrize("word", ["yes", "on", "no", "off", "true"])
-def test_yes_is_not_a_number(tmp_path: Path, word: str) -> None:
+@pytest.mark.parametrize(
+    ("word", "found"),
+    [("yes", "'yes'"), ("on", "'on'"), ("off", "'off'"), ("true", "true"), ("'1000'", "'1000'")],
+)
+def test_text_and_true_are_not_numbers(tmp_path: Path, word: str, found: str) -> None:
     text = rig_text().replace("rate_hz: 1000", f"rate_hz: {word}")
-    found = "true" if word in ("yes", "on", "true") else "false"
     assert f"rate_hz: expected a number, found {found}" in error_of(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        "020",
+        "-007",
+        "0x20",
+        "0o20",
+        "0b1010",
+        "16:40",
+        "190:20:30.15",
+        "1_000",
+        "6_8.5",
+        "1.0_0",
+        "+0_1",
+        "._5",
+        ".5_0",
+        "1_0e3",
+    ],
+)
+def test_what_versions_of_yaml_read_differently_is_an_error(tmp_path: Path, number: str) -> None:
+    text = rig_text().replace("rate_hz: 1000", f"rate_hz: {number}")
+    line = 1 + text[: text.index(f"rate_hz: {number}")].count("\n")
+    said = f"rig.yaml:{line}:10: expected a decimal number such as 20, or text in quotes, found "
+    if number == "._5":  # text in all of them
+        said = "rate_hz: expected a number, found "
+    assert said in error_of(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("20", 20),
+        ("-3", -3),
+        ("0", 0),
+        ("1e-4", 1e-4),
+        ("00.5", 0.5),
+        ("5.", 5.0),
+        ("+.5E+3", 500.0),
+        (".inf", float("inf")),
+        ("true", True),
+        ("yes", "yes"),
+        ("~", None),
+        ("2024-05-01", "2024-05-01"),
+        ("1.2.3", "1.2.3"),
+        ("'020'", "020"),
+        ("16:61", "16:61"),
+        ("a_1", "a_1"),
+    ],
+)
+def test_scalars_are_those_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(f"key: {text}\n")
+    found = read_mapping(path)["key"]
+    assert found == value
+    assert type(found) is type(value)
 
 
 def test_yes_is_not_a_number_in_a_list(tmp_path: Path) -> None:
     text = rig_text(geometry__coil_x_m=[0.1, True, 0.0])
     assert "geometry.coil_x_m: expected a number, found true" in error_of(tmp_path, text)
-    model = shipped("models/rig.yaml").read_text().replace("fixed: true", "fixed: yes")
+    model = shipped("models/rig.yaml").read_text().replace("fixed: true", "fixed: True")
     path = tmp_path / "model.yaml"
     path.write_text(model)
     assert (
@@ -547,7 +607,7 @@ def test_tag_of_the_core_schema_is_read() -> None:
     for value, expected in (
         ("!!int x", "an integer"),
         ("!!float ''", "a number"),
-        ("0b_", "an in"),
+        ("!!int '020'", "a decimal number"),
     ):
         message = message_of(lambda value=value: parse_text(f"seed: {value}\n", SessionConfig, "s"))
         assert message.startswith(f"s:1:7: expected {expected}")

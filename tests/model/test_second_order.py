@@ -109,6 +109,13 @@ def test_formula_other_than_arithmetic_is_rejected(text: str) -> None:
         Expression.parse(text)
 
 
+@pytest.mark.parametrize("text", ["0x20*m", "1_000", "m + 0b1", "0o7"])
+def test_number_of_a_formula_is_decimal(text: str) -> None:
+    with pytest.raises(ExpressionError, match="expected decimal numbers, found '"):
+        Expression.parse(text)
+    assert Expression.parse("2.5e-3*m + .5 + 3.")({"m": 2.0}) == 3.505
+
+
 @pytest.mark.parametrize("source", ["1e400", "9" * 4000, "9" * 6000, float("nan"), float("inf")])
 def test_non_finite_number_in_a_formula_is_rejected(source: str | float) -> None:
     with pytest.raises(ExpressionError, match="expected") as caught:

@@ -182,6 +182,7 @@ def test_npz_and_mat_arrays_are_imported(tmp_path, name, data, columns):
         ("V1,V2\n1,2\n3\n", BY_NAME, "line 3: expected 2 cells, as in the first row, found 1"),
         ("V1,V2\n1,2\n3,4,5\n", BY_NAME, "line 3: expected 2 cells, as in the first row, found 3"),
         ("1,2\n3,four\n", BY_NUMBER, "line 2, column 1: expected a number, found 'four'"),
+        ("1,2\n3,1_0\n", BY_NUMBER, "line 2, column 1: expected a number, found '1_0'"),
         ("1,2\n3,nan\n5,6\n", BY_NUMBER, "found 0 of 3 rows in such parts (missing: row 1)"),
         ("1,2\n3,4\n", BY_NAME, "column 'V1': the file has no header"),
         (

@@ -7,7 +7,7 @@ written independently of the model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -63,14 +63,15 @@ class Axis:
         m, rate = rng.uniform(1.0, 4.0), 2 * np.pi * rng.uniform(2.0, 4.0)
         loop = rng.uniform(2.0, 4.0) * rate
         gains = (m * (loop**2 - rate**2), 1.4 * m * loop, 0.2 * m * loop**3)
-        # Over the force that moves it by 1 cm at 4 Hz.
-        stick = 0.01 * (2 * np.pi * 4.0) ** 2 * m * rng.uniform(0.3, 0.6)
-        return cls(
+        axis = cls(
             m, 2 * rng.uniform(0.1, 0.3) * rate * m, rate**2 * m, gains, rng.uniform(0.05, 0.25),
             rng.uniform(4.0, 12.0),
-            stick=stick if kind == "friction" else 0.0,
-            late_rows=int(rng.integers(2, 4)) if kind == "delay" else 0,
         )  # fmt: skip
+        if kind == "friction":
+            # Over the force that moves it by 1 cm at 4 Hz.
+            stick = 0.01 * (2 * np.pi * 4.0) ** 2 * m * rng.uniform(0.3, 0.6)
+            return replace(axis, stick=stick)
+        return replace(axis, late_rows=int(rng.integers(2, 4))) if kind == "delay" else axis
 
     def flown(self, seed: int) -> tuple[Array, Array]:
         """Return the loop's command and the reading (rows, 1) of a record with random set points.

@@ -189,8 +189,10 @@ def _places(config: ModelConfig) -> Places:
 
 
 def _sim(config: SimConfig, path: Path) -> str:
-    from ..sim.effects import Effects
+    from ..sim.effects.check_effect_source import check_effects
 
-    Effects(config.effects, path)
+    read = check_effects(config.effects, path)
     count = len(config.effects)
-    return f"simulator, plant {config.plant}, {count or 'no'} effect{'s' * (count != 1)}"
+    summary = f"simulator, plant {config.plant}, {count or 'no'} effect{'s' * (count != 1)}"
+    files = ", ".join(dict.fromkeys(file.name for file in read))
+    return f"{summary}; {files} read, not run" if files else summary

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import select
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
@@ -22,6 +25,8 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 MOST_BYTES = 1 << 18
 """Largest file in bytes, and most characters of text in it; the largest shipped file has 6 KiB."""
+PIPE_WAIT_S = 10.0
+"""Longest wait for the end of a pipe."""
 MOST_NODES = 30_000
 """Most keys, values, lists and mappings in a file. A file of MOST_BYTES in the style of the shipped
 files has about as many; PyYAML takes about 1 s to read them."""
@@ -131,6 +136,9 @@ def check_limits(data: object, where: str) -> None:
             problem = _excess(nodes, characters, depth)
             if not problem and isinstance(value, str) and not _is_unicode(value):
                 problem = f"expected Unicode text, found {quoted(value)}"
+            elif not problem and isinstance(value, str) and "\0" in value:
+                # No path, name or address may hold one: it would fail when it is used.
+                problem = f"expected text without zero characters, found {quoted(value)}"
         elif isinstance(value, int) and value.bit_length() > 4 * MOST_DIGITS:
             problem = f"expected an integer of at most {MOST_DIGITS} digits, found {quoted(value)}"
         if problem:
@@ -143,15 +151,39 @@ def parse_text(text: str | bytes, model: type[M], where: str) -> M:
 
 
 def read_mapping(path: Path | str) -> dict[str, Any]:
-    """Return the top-level mapping of a YAML file; raises ConfigError."""
+    """Return the top-level mapping of a YAML file; raises ConfigError.
+
+    A pipe such as /dev/stdin is read to its end, if that comes within PIPE_WAIT_S.
+    """
     try:
-        with Path(path).open("rb") as file:
-            text = file.read(MOST_BYTES + 1)
+        text = _text(Path(path))
+    except TimeoutError:
+        raise ConfigError(
+            f"{path}: expected a file, or a pipe that ends within {PIPE_WAIT_S:g} s, found one "
+            "without an end"
+        ) from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:  # an invalid file name
         raise ConfigError(f"{str(path)!r}: cannot be read: {error}") from None
     return _mapping(text, str(path))
+
+
+def _text(path: Path) -> bytes:
+    """Return the first MOST_BYTES and one more; raises OSError, TimeoutError."""
+    # A pipe that nobody writes to would wait to be opened.
+    opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(opened, "rb", buffering=0) as file:
+        text, until = b"", time.monotonic() + PIPE_WAIT_S
+        while len(text) <= MOST_BYTES:
+            ready, _, _ = select.select([file], [], [], max(until - time.monotonic(), 0.0))
+            if not ready:
+                raise TimeoutError
+            part = file.read(MOST_BYTES + 1 - len(text))
+            if not part:
+                break
+            text += part
+    return text
 
 
 def _mapping(text: str | bytes, where: str) -> dict[str, Any]:

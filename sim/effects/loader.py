@@ -37,7 +37,7 @@ class Effects:
     def __init__(self, effects: Sequence[SimEffect], source: Path | None) -> None:
         self.source = str(source or "SIM.yaml")
         self._loaded = [
-            _Loaded(f"{self.source}: effects[{i}] ({effect.use})", effect, source)
+            _Loaded(effect_place(self.source, i, effect), effect, source)
             for i, effect in enumerate(effects)
         ]
         self._with = {
@@ -110,6 +110,11 @@ class Effects:
         for effect in self._with["gap"]:
             gap_m = effect.array("gap", gap_m.shape, t_s, gap_m.copy())
         return gap_m
+
+
+def effect_place(source: Path | str | None, i: int, effect: SimEffect) -> str:
+    """Return how messages name an effect of SIM.yaml."""
+    return f"{source or 'SIM.yaml'}: effects[{i}] ({effect.use})"
 
 
 class _Loaded:
@@ -187,13 +192,23 @@ def _load(where: str, name: str) -> ModuleType:
         ) from error
 
 
-def _load_file(where: str, place: str, source: Path | None) -> ModuleType:
+def effect_file(where: str, place: str, source: Path | None) -> Path:
+    """Return the Python file that `use:` names, beside SIM.yaml or in the current folder.
+
+    Raises:
+        EffectError: there is no such file.
+    """
     folders = ([source.parent] if source is not None else []) + [Path.cwd()]
     tried = [(folder / Path(place).expanduser()).resolve() for folder in folders]
     path = next((p for p in tried if p.is_file()), None)
     if path is None:
         paths = " or ".join(map(str, dict.fromkeys(tried)))
         raise EffectError(f"{where}: expected a Python file, found no file {paths}")
+    return path
+
+
+def _load_file(where: str, place: str, source: Path | None) -> ModuleType:
+    path = effect_file(where, place, source)
     name = f"levid_effect_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import gc
+import os
 import re
 import time
 from collections.abc import Callable
@@ -251,6 +252,31 @@ def test_integers_of_thousands_of_digits_are_errors(tmp_path: Path) -> None:
     longest = "1" * MOST_DIGITS
     with pytest.raises(ConfigError, match=f"less than 9223372036854775808, found {longest[:56]}"):
         parse_text(f"{SESSION}seed: {longest}\n", SessionConfig, "s")
+
+
+def test_a_zero_character_is_an_error(tmp_path: Path) -> None:
+    text = rig_text() + 'socket: "a\\0b"\n'
+    assert "rig.yaml: socket: expected text without zero characters" in error_of(tmp_path, text)
+
+
+def test_pipes_are_read_to_their_end_and_never_hang(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("levid.config.base.PIPE_WAIT_S", 0.1)
+    pipe = tmp_path / "pipe.yaml"
+    os.mkfifo(pipe)
+    with pytest.raises(ConfigError, match="one without an end"):  # nobody writes
+        read_mapping(pipe)
+    with pytest.raises(ConfigError, match="expected a file of at most 256 KiB"):
+        read_mapping("/dev/zero")
+    read, write = os.pipe()
+    with os.fdopen(read, "rb"), os.fdopen(write, "wb", buffering=0) as writer:
+        writer.write(b"a: 1")
+        with pytest.raises(ConfigError, match="one without an end"):
+            read_mapping(f"/dev/fd/{read}")
+        writer.write(b"b: 2")
+        writer.close()
+        assert read_mapping(f"/dev/fd/{read}") == {"b": 2}
 
 
 def test_too_large_file_is_rejected(tmp_path: Path) -> None:

@@ -25,6 +25,8 @@ from .model import ModelConfig, load_model
 
 Rate = Annotated[float, Field(ge=10.0, le=20_000.0)]
 _LEAST_PERIODS = 3
+_SMALL_ANGLE = 0.1
+"""rad, where a sine is 0.2 % off: the platform's equations are linear in its angles."""
 BusName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 
 
@@ -233,6 +235,22 @@ class RigConfig(Strict):
                 f"service.loop_s: expected at least {least_s:g} s, {_LEAST_PERIODS} periods at "
                 f"{self.rate_hz:g} Hz, found {self.service.loop_s:g} s"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _small_angles(self) -> Self:
+        own = self.geometry
+        arm_m = max(abs(x) for x in (*own.coil_x_m, *own.coil_y_m))
+        most = {"gap_m": _SMALL_ANGLE * arm_m, "tilt_rad": _SMALL_ANGLE}
+        why = {"gap_m": f"m, {_SMALL_ANGLE:g} of the longest arm", "tilt_rad": "rad"}
+        for name, limit in most.items():
+            found = getattr(self.limits, name)
+            if found is not None and found > limit > 0.0:
+                slip = "; is it in thousandths?" if found <= 1e3 * limit else ""
+                raise ValueError(
+                    f"limits.{name}: expected at most {limit:.3g} {why[name]}, where angles are "
+                    f"small, found {found:g}{slip}"
+                )
         return self
 
     @model_validator(mode="after")

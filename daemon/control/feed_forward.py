@@ -27,6 +27,10 @@ _ACTS_AFTER = 1.5
 _GRID = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Fractions of the limits at which the model's force is compared with its linear part."""
 
+_MOST_OVER_REST = 100.0
+"""Largest coil limit over the coil force that carries the platform: 4 for the shipped rigs. A limit
+a thousand times as large is one in other units."""
+
 
 @dataclass(frozen=True)
 class FeedForwardLaw:
@@ -75,7 +79,9 @@ def feed_forward(rig: RigConfig, period_s: float) -> FeedForwardLaw:
     if rig.feedforward is not None:
         own = rig.feedforward
         g = own.gravity_m_s2
-        return FeedForwardLaw(own.mass_kg * g, own.beam_mass_kg * g, own.rods_n_m)
+        law = FeedForwardLaw(own.mass_kg * g, own.beam_mass_kg * g, own.rods_n_m)
+        _check_coil_limit(rig, largest_coil_n(rig, law.wrench(np.zeros((1, 3)))))
+        return law
     if not isinstance(rig.model, ModelConfig):
         raise ConfigError(f"model: {rig.model} is not loaded: load the rig with load_rig")
     try:
@@ -113,11 +119,23 @@ def _of_model(rig: RigConfig, config: ModelConfig, period_s: float) -> FeedForwa
             f"carrying the platform at rest needs {at_rest_n:.3g} N in a coil, expected at most "
             f"limits.coil_n, {limits.coil_n:g} N; check the masses and units of the model's force"
         )
+    _check_coil_limit(rig, at_rest_n)
     values = {**model.values, **model.scheduling}
     ahead_s = _ACTS_AFTER * period_s + model.lag(values) + model.delay(values)
     slopes[:, 1] += ahead_s * slopes[:, 0]
     by_model = np.hstack([wrench[:1].T, stiffness, slopes])
     return FeedForwardLaw(by_model=by_model, left_over=np.abs(curved).max(axis=0))
+
+
+def _check_coil_limit(rig: RigConfig, at_rest_n: float) -> None:
+    """Raise ConfigError for a coil limit that no rig has which these forces carry."""
+    limit_n = rig.limits.coil_n
+    if limit_n > _MOST_OVER_REST * at_rest_n > 0.0:
+        slip = "; is it in mN?" if limit_n <= 1e3 * _MOST_OVER_REST * at_rest_n else ""
+        raise ConfigError(
+            f"limits.coil_n: expected at most {_MOST_OVER_REST * at_rest_n:.3g} N, "
+            f"{_MOST_OVER_REST:g} times what carries the platform at rest, found {limit_n:g}{slip}"
+        )
 
 
 def _wrench(model: DeclaredModel, derivative: dict[str, int], beam: Array) -> tuple[Array, Array]:

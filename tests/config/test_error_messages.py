@@ -254,6 +254,29 @@ def test_integers_of_thousands_of_digits_are_errors(tmp_path: Path) -> None:
         parse_text(f"{SESSION}seed: {longest}\n", SessionConfig, "s")
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("gap_m", 0.85, "at most 0.012 m, 0.1 of the longest arm, .* 0.85; is it in thousandths"),
+        (
+            "gap_m",
+            85.0,
+            "at most 0.012 m, 0.1 of the longest arm, where angles are small, found 85",
+        ),
+        (
+            "tilt_rad",
+            6.5,
+            "at most 0.1 rad, where angles are small, found 6.5; is it in thousandths",
+        ),
+    ],
+)
+def test_limits_of_large_angles_are_errors(
+    tmp_path: Path, name: str, value: float, said: str
+) -> None:
+    text = rig_text(**{f"limits__{name}": value})
+    assert re.search(rf"rig\.yaml: .*limits\.{name}: expected {said}", error_of(tmp_path, text))
+
+
 def test_a_zero_character_is_an_error(tmp_path: Path) -> None:
     text = rig_text() + 'socket: "a\\0b"\n'
     assert "rig.yaml: socket: expected text without zero characters" in error_of(tmp_path, text)

@@ -11,7 +11,7 @@ import yaml
 
 from levid.config.base import ConfigError, parse_text
 from levid.config.model import ModelConfig, load_model
-from levid.config.rig import RigConfig, load_rig
+from levid.config.rig import FeedForward, RigConfig, load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.control.feed_forward import feed_forward
@@ -144,3 +144,19 @@ def test_theta_hardly_notices_a_beam_that_the_model_knows(sim: str, tmp_path: Pa
     # The planned acceleration is of the end of the period in which the force acts. Half a period,
     # at theta's resonance of 53 rad/s, is 2.7 % of what it was.
     assert theta_rms(RIG, sim, tmp_path / "after") < 0.03 * before
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_coil_limit_in_other_units_is_an_error(own: bool) -> None:
+    limits = RIG.limits.model_copy(update={"coil_n": 20e3})
+    changes: dict[str, object] = {"limits": limits}
+    if own:
+        changes |= {
+            "model": None,
+            "feedforward": FeedForward(mass_kg=7.0, beam_mass_kg=1.4, rods_n_m=0.0),
+        }
+    with pytest.raises(ConfigError, match=r"limits\.coil_n: .* found 20000; is it in mN\?"):
+        feed_forward(RIG.model_copy(update=changes), PERIOD_S)
+    changes["limits"] = RIG.limits.model_copy(update={"coil_n": 1e308})
+    with pytest.raises(ConfigError, match=r"found 1e\+308$"):
+        feed_forward(RIG.model_copy(update=changes), PERIOD_S)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from .base import Finite, NonNegative, Positive, Strict, load_yaml
+from .units import si_slip
 
 Identifier = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Entry = Finite | str
@@ -33,6 +34,13 @@ class ModelParameter(Strict):
     """Prior standard deviation of the value, before any record."""
     se: NonNegative | None = None
     about: str = ""
+
+    @field_validator("unit")
+    @classmethod
+    def _is_si(cls, unit: str) -> str:
+        if slip := si_slip(unit):
+            raise ValueError(slip)
+        return unit
 
     @model_validator(mode="after")
     def _bounds(self) -> Self:

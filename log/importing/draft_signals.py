@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...config.units import known_unit
 from ..errors import LogError
 from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
-from .header_units import is_time_name, known_unit
+from .header_units import is_time_name
 from .time_grid import fit_grid
 
 Array = NDArray[np.float64]

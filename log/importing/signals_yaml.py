@@ -8,7 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ...config.base import Finite, NonNegative, Positive, Strict
 from ...config.controller import ControllerConfig
-from .header_units import known_unit
+from ...config.units import known_unit
 
 Role = Literal["input", "output", "reference", "excitation", "scheduling", "time", "other"]
 Format = Literal["csv", "text", "npz", "mat"]

@@ -10,7 +10,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
-from .header_units import HeaderCell, header_cell, known_unit
+from ...config.units import known_unit
+from .header_units import HeaderCell, header_cell
 
 Row = tuple[int, list[str]]
 """Line number, from 1, and cells without spaces around them."""

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ...config.units import known_unit
 from ..errors import LogError
 from .gap_filling import FilledPart, GapFiller, runs
-from .header_units import known_unit
 from .irregular_times import irregular_error, resample
 from .signals_yaml import SignalsFile
 from .time_grid import LONGEST_FILLED_ROWS, TimeGrid, fit_grid

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ....config.base import parse_text
 from ....config.model import ModelConfig
-from ....log.importing.header_units import known_unit
+from ....config.units import known_unit
 from ....log.importing.signals_yaml import SignalsFile
 from ....log.reader import Log
 from ....model.controller import pi_controller

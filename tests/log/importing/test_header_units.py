@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from levid.log.importing.header_units import header_cell, known_unit, unit_slip
+from levid.config.units import known_unit
+from levid.log.importing.header_units import header_cell, unit_slip
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from dataclasses import asdict, fields
 
-from levid.benchmarks.trace.search_option_sensitivity import OF_THE_RIG, variants
+from levid.benchmarks.trace.search_option_sensitivity import (
+    METHODS,
+    OF_THE_RIG,
+    changed_method,
+    method_variants,
+    variants,
+)
 from levid.identification.trace.search_options import SearchOptions
 
 
 def test_each_number_is_halved_and_doubled_by_itself() -> None:
     plain, seen = asdict(SearchOptions()), set()
-    for name, options in variants(SearchOptions()):
+    for variant in variants(SearchOptions()):
+        name, options = variant.name, variant.options
         (changed,) = [key for key, value in asdict(options).items() if value != plain[key]]
         assert name.startswith(changed)
         assert type(getattr(options, changed)) is type(plain[changed])
@@ -20,7 +27,20 @@ def test_each_number_is_halved_and_doubled_by_itself() -> None:
 
 
 def test_ratios_change_in_what_they_exceed_one_by() -> None:
-    found = dict(variants(SearchOptions()))
+    found = {v.name: v.options for v in variants(SearchOptions())}
     assert abs(found["much_left half"].much_left - 1.15) < 1e-9
     assert abs(found["much_left double"].much_left - 1.6) < 1e-9
     assert found["most_effects half"].most_effects == 3
+
+
+def test_numbers_of_methods_change_for_as_long_as_asked() -> None:
+    for variant in method_variants():
+        assert variant.method is not None
+        module, constant = METHODS[variant.method[0]]
+        plain = getattr(module, constant)
+        with changed_method(variant.method):
+            changed = getattr(module, constant)
+            assert type(changed) is type(plain)
+            # A half of an odd whole number is rounded down.
+            assert abs(changed - variant.method[1] * plain) <= 0.5
+        assert getattr(module, constant) == plain

@@ -17,7 +17,8 @@ Array = NDArray[np.float64]
 
 _RIDGE = 1e-10
 """Relative to the columns' squares: keeps parallel columns solvable, far above rounding."""
-
+_FORETOLD = 4.0
+"""Variances of chance that a record must be foretold to contradict: two standard deviations."""
 _NOISE_DEVIATIONS = 2.0
 """An effect of size s gains s, with a standard deviation of 2 sqrt(s) by noise of unit variance."""
 
@@ -253,7 +254,7 @@ def _foretold(rest: Array, own: Array, base: int, extra: Array) -> bool:
     size = _sizes(known)
     inverse = np.linalg.inv(known / size[:, None] / size + _RIDGE * np.eye(len(known)))
     uncertain = float(np.trace(there @ (inverse / size[:, None] / size)))
-    return float(extra @ there @ extra) > 4.0 * (uncertain + 1.0)
+    return float(extra @ there @ extra) > _FORETOLD * (uncertain + 1.0)
 
 
 def _beside(A: Array, base: int) -> Array:

@@ -22,7 +22,7 @@ class SimConfig(Strict):
     levid: Literal["sim"]
     seed: Annotated[int, Field(ge=0)]
     plant: Literal["declared", "nonlinear"]
-    step_s: Annotated[float, Field(gt=0, le=1e-4)] = 1e-4
+    step_s: Annotated[float, Field(ge=1e-6, le=1e-4)] = 1e-4
     geometry: SimGeometry
     platform: Platform
     beam: Beam
@@ -164,9 +164,9 @@ class Coils(Strict):
 
     limit_n: Positive
     constant_n_a: Positive
-    lag_s: NonNegative
+    lag_s: Annotated[float, Field(ge=0, le=1.0)]
     noise_n: NonNegative  # rms, white, held for noise_hold_s
-    noise_hold_s: Positive
+    noise_hold_s: Annotated[float, Field(ge=1e-6, le=1.0)]
 
 
 class Sensors(Strict):

@@ -15,6 +15,7 @@ from ...identification.greybox.declared_model_from_config import declared_model
 from ...model.declared_model import DeclaredModel, ModelError
 from ...model.expression import ExpressionError
 from ...model.geometry import decoupling_matrix
+from .watchdog_times import fall_s
 
 Array = NDArray[np.float64]
 
@@ -121,7 +122,13 @@ def _of_model(rig: RigConfig, config: ModelConfig, period_s: float) -> FeedForwa
         )
     _check_coil_limit(rig, at_rest_n)
     values = {**model.values, **model.scheduling}
-    ahead_s = _ACTS_AFTER * period_s + model.lag(values) + model.delay(values)
+    late_s = model.lag(values) + model.delay(values)
+    if late_s > fall_s(rig):
+        raise ConfigError(
+            f"lag_s and delay_s: expected at most {fall_s(rig):.3g} s together, in which a falling "
+            f"platform leaves limits.gap_m, found {late_s:.3g} s"
+        )
+    ahead_s = _ACTS_AFTER * period_s + late_s
     slopes[:, 1] += ahead_s * slopes[:, 0]
     by_model = np.hstack([wrench[:1].T, stiffness, slopes])
     return FeedForwardLaw(by_model=by_model, left_over=np.abs(curved).max(axis=0))

@@ -88,6 +88,7 @@ def test_what_is_not_linear_is_left_and_told(levid: Callable, tmp_path: Path) ->
         ({"inputs": [{"name": n, "unit": "N"} for n in "xyz"]}, "found psi in rad, .* in N, N, N"),
         ({"B": np.zeros((3, 3)).tolist()}, "B: expected an invertible matrix"),
         ({"force": [0, 0, "-m_p*g/x_b"]}, "has no value"),
+        ({"delay_s": 1e9}, r"lag_s and delay_s: expected at most 0.0132 s together, .* 1e\+09 s"),
         ({"force": [0, 0, "-1000*m_p*g"]}, r"needs 6.1e\+03 N in a coil, expected at most"),
         (
             {"scheduling": {n: {"unit": "K", "signal": "heat"} for n in ("x_b", "v_b", "a_b")}},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -102,6 +103,10 @@ def _periods(rows: NDArray[np.void]) -> int:
     return max(int(cycle[-1]) - int(cycle[0]) + 1, 0)
 
 
+_LEAST_GAIN_FACTOR = 2.0
+"""A gain margin of 6 dB, as is usual."""
+
+
 def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
     from ..config.rig import with_model
@@ -124,9 +129,32 @@ def _rig(rig: RigConfig, path: Path) -> str:
         click.echo(f"{path}: warning: {warning}", err=True)
     bus_rate = f"; bus rate limit {1 / budget.cycle_s:.0f} Hz" if budget.buses else ""
     coils = f"{len(rig.geometry.coil_x_m)} coils"
-    return (
-        f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {_feed_forward(with_model(rig, path), path)}"
+    whole = with_model(rig, path)
+    return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {_feed_forward(whole, path)}" + _loop(
+        whole, path
     )
+
+
+def _loop(rig: RigConfig, path: Path) -> str:
+    """Return the margin of the control loop in words; empty for a rig without a model."""
+    from ..config.base import ConfigError
+    from ..daemon.control.loop_stability import loop_stability
+
+    found = loop_stability(rig, 1 / rig.rate_hz)
+    if found is None:
+        return ""
+    if math.isfinite(found.growth_s):
+        raise ConfigError(
+            f"{path}: control: with the model, this loop is unstable: a deviation grows by e in "
+            f"{found.growth_s:.2g} s; {found.gain_factor:.2g} times these gains would be stable"
+        )
+    if found.gain_factor < _LEAST_GAIN_FACTOR:
+        click.echo(
+            f"{path}: warning: control: {found.gain_factor:.2g} times these gains is the most that "
+            f"is stable with the model; {_LEAST_GAIN_FACTOR:g} or more leaves room for its errors",
+            err=True,
+        )
+    return f"; stable up to {found.gain_factor:.2g} times the gains"
 
 
 def _feed_forward(rig: RigConfig, path: Path) -> str:

@@ -130,9 +130,8 @@ def _rig(rig: RigConfig, path: Path) -> str:
     bus_rate = f"; bus rate limit {1 / budget.cycle_s:.0f} Hz" if budget.buses else ""
     coils = f"{len(rig.geometry.coil_x_m)} coils"
     whole = with_model(rig, path)
-    return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {_feed_forward(whole, path)}" + _loop(
-        whole, path
-    )
+    forces, margin = _feed_forward(whole, path), _loop(whole, path)
+    return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {forces}{margin}"
 
 
 def _loop(rig: RigConfig, path: Path) -> str:
@@ -144,14 +143,15 @@ def _loop(rig: RigConfig, path: Path) -> str:
     if found is None:
         return ""
     if math.isfinite(found.growth_s):
+        fewer = f"{found.gain_factor:.2g} times these" if found.gain_factor else "none"
         raise ConfigError(
             f"{path}: control: with the model, this loop is unstable: a deviation grows by e in "
-            f"{found.growth_s:.2g} s; {found.gain_factor:.2g} times these gains would be stable"
+            f"{found.growth_s:.2g} s; stable of smaller gains: {fewer}"
         )
     if found.gain_factor < _LEAST_GAIN_FACTOR:
         click.echo(
-            f"{path}: warning: control: {found.gain_factor:.2g} times these gains is the most that "
-            f"is stable with the model; {_LEAST_GAIN_FACTOR:g} or more leaves room for its errors",
+            f"{path}: warning: control: with the model, {found.gain_factor:.2g} times these gains "
+            f"are the limit of stability; expected {_LEAST_GAIN_FACTOR:g} times or more",
             err=True,
         )
     return f"; stable up to {found.gain_factor:.2g} times the gains"

@@ -241,15 +241,16 @@ class RigConfig(Strict):
     def _small_angles(self) -> Self:
         own = self.geometry
         arm_m = max(abs(x) for x in (*own.coil_x_m, *own.coil_y_m))
-        most = {"gap_m": _SMALL_ANGLE * arm_m, "tilt_rad": _SMALL_ANGLE}
-        why = {"gap_m": f"m, {_SMALL_ANGLE:g} of the longest arm", "tilt_rad": "rad"}
-        for name, limit in most.items():
+        for name, unit, limit, of in (
+            ("gap_m", "m", _SMALL_ANGLE * arm_m, " at the longest arm"),
+            ("tilt_rad", "rad", _SMALL_ANGLE, ""),
+        ):
             found = getattr(self.limits, name)
             if found is not None and found > limit > 0.0:
-                slip = "; is it in thousandths?" if found <= 1e3 * limit else ""
+                slip = f"; is it in m{unit}?" if found <= 1e3 * limit else ""
                 raise ValueError(
-                    f"limits.{name}: expected at most {limit:.3g} {why[name]}, where angles are "
-                    f"small, found {found:g}{slip}"
+                    f"limits.{name}: expected at most {limit:.3g} {unit}, a tilt of "
+                    f"{_SMALL_ANGLE:g} rad{of}, found {found:g}{slip}"
                 )
         return self
 

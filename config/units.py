@@ -77,6 +77,7 @@ def known_unit(text: str) -> KnownUnit | None:
 
 def si_slip(text: str) -> str | None:
     """Return in words what is not SI about the unit of a number in SI; None if nothing is known."""
+    # Not in the table: in the header of an accelerometer, g is 9.81 m/s^2.
     if re.search(r"(^|[ /*(])m?g\b", text):
         return f"expected an SI unit with kg, found {text}: a gram is 1e-3 kg"
     known = known_unit(text)

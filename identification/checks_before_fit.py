@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.model import ModelConfig
+from ..model.controller import closed_loop
 from ..model.declared_model import DeclaredModel, ModelError
 from ..model.second_order import discretise, lagged
 from .greybox.declared_model_from_config import declared_model
@@ -143,11 +144,7 @@ class _Modes:
             return cls(np.linalg.eigvals(lagged(at).A).astype(complex), False)
         delay_s = max(at.delay_s + e.delay_cycles * e.Ts_s, 0.0)
         held = type(at)(at.M, at.D, at.K, at.B, at.force, at.lag_s, delay_s)
-        plant, C = discretise(held, e.Ts_s), e.loop.controller
-        B_y, D_y = C.by_output
-        closed = np.block(
-            [[plant.A + plant.B @ D_y @ plant.C, plant.B @ C.C], [B_y @ plant.C, C.A]]
-        )
+        closed = closed_loop(discretise(held, e.Ts_s), e.loop.controller)
         z = np.linalg.eigvals(closed).astype(complex)
         return cls(np.log(z[np.abs(z) > 1e-9]) / e.Ts_s, True)
 

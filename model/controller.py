@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .second_order import StateSpace
+
 Array = NDArray[np.float64]
 
 
@@ -103,6 +105,16 @@ def pi_controller(kp: Array, ki: Array, Ts_s: float) -> Controller:
         one, np.hstack([by_error, -by_error]), one.copy(), np.hstack([at_once, -at_once]),
         np.zeros((p, p)), -wide, wide, Ts_s, p,
     )  # fmt: skip
+
+
+def closed_loop(plant: StateSpace, controller: Controller) -> Array:
+    """Return the state matrix (m + s, m + s) of a sampled plant in its loop, without limits.
+
+    The plant's states (m) come first, then the controller's; the plant has D = 0.
+    """
+    B_y, D_y = controller.by_output
+    A = plant.A + plant.B @ D_y @ plant.C
+    return np.block([[A, plant.B @ controller.C], [B_y @ plant.C, controller.A]])
 
 
 @njit(cache=True, nogil=True)

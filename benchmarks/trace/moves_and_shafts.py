@@ -1,33 +1,31 @@
 """Trace a stage in point-to-point moves and a shaft with a gap: names, intervals, missing force.
 
-Each plant has numbers of its own, and a declared linear model that is 10 to 20 % off. A plant is
-*right* if the names that are not in doubt are those of its effects, at their places.
+Each plant has numbers of its own, and a declared linear model that is 10 to 20 % off.
 """
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
-from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 
-from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
+from levid.benchmarks.trace.judged_plants import (
+    RECORDS,
+    Named,
+    Result,
+    result,
+    show_plants,
+    traced,
+)
 from levid.benchmarks.trace.sticking_plants import TS, Array, Shaft, Stage
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.identification.trace.force_regression.force_trace_summary import force_summary
-from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
-from levid.identification.trace.records.record_from_log import imported_trace_record
-from levid.model.effects.candidate_effects import all_effects
+from levid.identification.trace.force_regression.trace_imported import ForceTrace
 
-SEEDS, QUICK, RECORDS = 4, 1, 3
 FIRST_SEED = 50_000
 
 STAGE = """
@@ -73,7 +71,6 @@ D: [[d1]]
 K: [[0]]
 """
 
-Named = tuple[str, tuple[str, ...]]
 FRICTION, COGGING, DRAG = ("friction", ("x",)), ("cogging", ("x",)), ("damping", ("x",))
 GAP, CUBIC = ("backlash", ("q1 - q2",)), ("stiffness", ("q1 - q2",))
 SOFT = ("flexible_mode", ("q1",))
@@ -144,33 +141,6 @@ KINDS = {
 }
 
 
-@dataclass(frozen=True)
-class Result:
-    """What the trace said of one plant.
-
-    right: whether the names without doubt are those of the effects. false: whether one is not.
-    inside: whether each interval has the truth, if all names are right. force: missing force.
-    """
-
-    kind: str
-    seed: int
-    right: bool
-    false: bool
-    doubted: bool
-    inside: tuple[bool, ...]
-    force: tuple[float, float]
-    named: str
-
-    def __str__(self) -> str:
-        said = "FALSE" if self.false else "right" if self.right else "MISSED"
-        doubt = ", in doubt" if self.doubted else ""
-        missed = sum(not x for x in self.inside)
-        return (
-            f"{self.kind} {self.seed}: {said}{doubt}: {self.named}; {self.force[0]:.3g} to "
-            f"{self.force[1]:.3g} %, {missed} of {len(self.inside)} intervals miss"
-        )
-
-
 def flights(kind: Kind, plant: Stage | Shaft, seed: int) -> list[tuple[Array, Array]]:
     """Return inputs and outputs of the records of a plant."""
     flown = [plant.flown(RECORDS * seed + i) for i in range(RECORDS)]
@@ -189,47 +159,17 @@ def declared(kind: Kind, plant: Stage | Shaft, rng: np.random.Generator) -> Mode
     return parse_text(text, ModelConfig, "model")
 
 
-def traced(config: ModelConfig, flown: list[tuple[Array, Array]]) -> ForceTrace:
-    """Return the trace of records."""
-    records = [
-        imported_trace_record(Experiment(f"r{n}", TS, u, y, {}, frozenset(), False), config)
-        for n, (u, y) in enumerate(flown)
-    ]
-    return trace_records(records, config, all_effects, lambda *_: None)
-
-
 def judged(name: str, seed: int) -> Result:
     """Return the result of one plant."""
     kind, rng = KINDS[name], np.random.default_rng(seed)
     plant = kind.draw(rng)
-    trace = traced(declared(kind, plant, rng), flights(kind, plant, seed))
-    summary = force_summary(trace)
-    sure = [e for e in summary["effects"] if not e["evidence"]["doubtful"]]
-
-    def is_one(e: Mapping[str, object]) -> bool:
-        return (e["class"], tuple(e["where"])) in kind.effects  # type: ignore[arg-type]
-
-    found = {
-        (e["class"], tuple(e["where"])) if is_one(e) else (a["class"], tuple(a["where"]))
-        for e in sure
-        for a in (e["alternatives"] or [e])
-        if is_one(e) or is_one(a)
-    }
-    false = any(
-        not is_one(e) and not any(map(is_one, e["alternatives"]))
-        for e in sure
-        if e["class"] != "unknown"
-    )
-    right = found == kind.effects and not false
-    force = summary["validation"]["force_percent"]
-    return Result(
-        name, seed, right, false, len(sure) < len(summary["effects"]),
-        tuple(intervals(trace, kind, plant)) if right else (), (force["before"], force["after"]),
-        "; ".join(e["name"] for e in summary["effects"]) or "nothing",
-    )  # fmt: skip
+    trace = traced(declared(kind, plant, rng), flights(kind, plant, seed), TS)
+    return result(name, seed, trace, kind.effects, partial(intervals, trace, kind, plant))
 
 
-def intervals(trace: ForceTrace, kind: Kind, plant: Stage | Shaft) -> Iterator[bool]:
+def intervals(
+    trace: ForceTrace, kind: Kind, plant: Stage | Shaft, effects: Sequence[Mapping[str, Any]]
+) -> Iterator[bool]:
     """Yield whether each interval has the truth.
 
     A gap takes the place of spring and damper of the shaft, and a load behind a soft shaft has no
@@ -241,7 +181,7 @@ def intervals(trace: ForceTrace, kind: Kind, plant: Stage | Shaft) -> Iterator[b
         if name in {"k", "c"} and kind.effects == {GAP}:
             continue
         yield bool(abs(value - getattr(plant, name)) <= SURE_95 * se)
-    for effect in force_summary(trace)["effects"]:
+    for effect in effects:
         for name, told in effect["parameters"].items():
             if name in kind.law and told["se"] is not None:
                 truth = getattr(plant, kind.law[name])
@@ -251,47 +191,6 @@ def intervals(trace: ForceTrace, kind: Kind, plant: Stage | Shaft) -> Iterator[b
 def main() -> None:
     """Print the figures of all plants."""
     show_plants("moves that end at rest, and shafts", KINDS, judged, FIRST_SEED)
-
-
-def show_plants(
-    what: str, kinds: Iterable[str], judged: Callable[[str, int], Result], first_seed: int
-) -> None:
-    """Judge plants of some kinds and seeds by the command's options, and print their figures."""
-    options = parser(f"Trace {what}; --quick: one seed of each")
-    options.add_argument("--seeds", type=int, default=SEEDS, metavar="N", help="of each kind")
-    options.add_argument("--first-seed", type=int, default=first_seed, metavar="N")
-    options.add_argument("--kinds", nargs="+", default=(*kinds,), choices=(*kinds,), metavar="KIND")
-    arguments = options.parse_args()
-    count = QUICK if arguments.quick else arguments.seeds
-    seeds = range(arguments.first_seed, arguments.first_seed + count)
-    todo = [(kind, seed) for seed in seeds for kind in arguments.kinds]
-
-    def measure() -> Iterator[Figure]:
-        results = list[Result]()
-        with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-            for result in pool.map(judged, *zip(*todo, strict=True)):
-                results.append(result)
-                print(f"{len(results)}/{len(todo)} {result}", file=sys.stderr, flush=True)
-        yield from figures(results)
-
-    show(what.capitalize(), arguments, measure)
-
-
-def figures(results: list[Result]) -> Iterator[Figure]:
-    """Yield the figures of all plants."""
-    count, inside = len(results), [x for r in results for x in r.inside]
-    yield Figure("right", 100 * sum(r.right for r in results) / count, "%",
-                 f"right (of {count})", target=Target(least=95))  # fmt: skip
-    yield Figure("false", sum(r.false for r in results), "",
-                 "with a false name that is not in doubt", target=Target(most=0))  # fmt: skip
-    yield Figure("doubted", sum(r.doubted for r in results), "", "with a name in doubt")
-    if inside:
-        yield Figure("inside", 100 * sum(inside) / len(inside), "%",
-                     f"95 % intervals with the truth (of {len(inside)})",
-                     target=Target(least=90, most=99))  # fmt: skip
-    listed = [r.force[1] for r in results]
-    yield Figure("after", float(np.median(listed)), "%", "missing force after, median")
-    yield Figure("most", max(listed), "%", "missing force after, largest")
 
 
 if __name__ == "__main__":

@@ -1,30 +1,24 @@
 """Trace axes in a control loop under random forces that nothing measures, such as turbulence.
 
 The loop answers the random force, so that its command follows it: the force balance then takes part
-of the controller for the plant. What is right is as in sensors_and_swings.py. The simulation is
-written independently of the model.
+of the controller for the plant. The simulation is written independently of the model.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
-from threadpoolctl import threadpool_limits
 
-from levid.benchmarks.trace.moves_and_shafts import RECORDS, Named, Result, show_plants
+from levid.benchmarks.trace.judged_plants import RECORDS, Named, Result, result, show_plants, traced
 from levid.benchmarks.trace.sensors_and_swings import ONE
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.identification.trace.force_regression.force_trace_summary import force_summary
-from levid.identification.trace.force_regression.trace_imported import trace_records
-from levid.identification.trace.records.record_from_log import imported_trace_record
-from levid.model.effects.candidate_effects import all_effects
 
 Array = NDArray[np.float64]
 
@@ -43,8 +37,9 @@ KINDS: dict[str, frozenset[Named]] = {
 class Axis:
     """An axis with mass, damping and stiffness in a PID loop, and what its model may lack.
 
-    random: RMS of the random force below random_hz, over that of the loop's command. stick: dry
-    friction. late_rows: of the command.
+    m1, d1, k1 in SI units. gains: kp, kd, ki. random: RMS of the random force below
+    random_hz, over that of the loop's command. stick: dry friction, N. late_rows: delay of the
+    command. noise: RMS of the reading's, over 1 cm.
     """
 
     m1: float
@@ -134,31 +129,15 @@ def judged(kind: str, seed: int) -> Result:
     rng = np.random.default_rng(seed)
     axis = Axis.drawn(kind, rng)
     config = declared(axis, rng)
-    flown = [axis.flown(RECORDS * seed + i) for i in range(RECORDS)]
-    records = [
-        imported_trace_record(Experiment(f"r{n}", TS_S, u, y, {}, frozenset(), False), config)
-        for n, (u, y) in enumerate(flown)
-    ]
-    with threadpool_limits(1):
-        trace = trace_records(records, config, all_effects, lambda *_: None)
-    summary = force_summary(trace)
-    sure = [e for e in summary["effects"] if not e["evidence"]["doubtful"]]
-    found, false = set[Named](), False
-    for e in sure:
-        names = {(a["class"], tuple(a["where"])) for a in (e["alternatives"] or [e])}
-        found |= names & KINDS[kind]
-        false |= not names & KINDS[kind] and e["class"] != "unknown"
-    own = zip(trace.found.point.parameters.names, trace.found.point.values, strict=True)
-    inside = tuple(
-        bool(abs(value - getattr(axis, name)) <= SURE_95 * se)
-        for (name, value), se in zip(own, trace.errors, strict=False)
-    )
-    force = summary["validation"]["force_percent"]
-    return Result(
-        kind, seed, found == KINDS[kind] and not false, false, len(sure) < len(summary["effects"]),
-        inside, (force["before"], force["after"]),
-        "; ".join(e["name"] for e in summary["effects"]) or "nothing",
-    )  # fmt: skip
+    trace = traced(config, [axis.flown(RECORDS * seed + i) for i in range(RECORDS)], TS_S)
+    point = trace.found.point
+
+    def inside(_effects: object) -> Iterator[bool]:
+        numbers = zip(point.values, point.parameters.names, trace.errors, strict=False)
+        for value, name, se in numbers:
+            yield bool(abs(value - getattr(axis, name)) <= SURE_95 * se)
+
+    return result(kind, seed, trace, KINDS[kind], inside)
 
 
 def main() -> None:

@@ -1,28 +1,30 @@
 """Trace plants with erring sensors, crosstalk, propellers, a swinging arm and a fine cogging.
 
-Each plant has numbers of its own, and a declared linear model that is 10 to 20 % off. A plant is
-*right* if the names that are not in doubt are those of its effects, or groups with these.
+Each plant has numbers of its own, and a declared linear model that is 10 to 20 % off.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from levid.benchmarks.trace.moves_and_shafts import RECORDS, Named, Result, show_plants
+from levid.benchmarks.trace.judged_plants import (
+    RECORDS,
+    Named,
+    Result,
+    result,
+    show_plants,
+    traced,
+)
 from levid.benchmarks.trace.swinging_plants import Plant
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.identification.trace.force_regression.force_trace_summary import force_summary
-from levid.identification.trace.force_regression.trace_imported import trace_records
-from levid.identification.trace.records.record_from_log import imported_trace_record
-from levid.model.effects.candidate_effects import all_effects
+from levid.identification.trace.force_regression.trace_imported import ForceTrace
 
 FIRST_SEED = 70_000
 
@@ -203,41 +205,26 @@ def judged(name: str, seed: int) -> Result:
     kind, rng = KINDS[name], np.random.default_rng(seed)
     plant = kind.draw(rng)
     config = declared(kind, plant, rng)
-    flown = [plant.flown(RECORDS * seed + i) for i in range(RECORDS)]
-    records = [
-        imported_trace_record(Experiment(f"r{n}", plant.Ts_s, u, y, {}, frozenset(), False), config)
-        for n, (u, y) in enumerate(flown)
-    ]
-    with threadpool_limits(1):
-        trace = trace_records(records, config, all_effects, lambda *_: None)
-    summary = force_summary(trace)
-    sure = [e for e in summary["effects"] if not e["evidence"]["doubtful"]]
-    found, false = set[Named](), False
-    for e in sure:
-        names = {(a["class"], tuple(a["where"])) for a in (e["alternatives"] or [e])}
-        found |= names & kind.effects
-        false |= not names & (kind.effects | kind.also) and e["class"] != "unknown"
-    right = found == kind.effects and not false
-    force = summary["validation"]["force_percent"]
-    inside = list[bool]()
-    if right:
-        own = zip(trace.found.point.parameters.names, trace.found.point.values, strict=True)
-        inside = [
-            bool(abs(value - getattr(plant, n)) <= SURE_95 * se)
-            for (n, value), se in zip(own, trace.errors, strict=False)
-            if n != "b" and not (kind.also and n == "w")
-        ]
-        for e in sure:
-            for parameter, number, sign in kind.law:
-                told = e["parameters"].get(parameter)
-                if told is not None and told["se"] is not None:
-                    truth = sign * getattr(plant, number)
-                    inside.append(bool(abs(told["value"] - truth) <= SURE_95 * told["se"]))
-    return Result(
-        name, seed, right, false, len(sure) < len(summary["effects"]), tuple(inside),
-        (force["before"], force["after"]),
-        "; ".join(e["name"] for e in summary["effects"]) or "nothing",
-    )  # fmt: skip
+    trace = traced(config, [plant.flown(RECORDS * seed + i) for i in range(RECORDS)], plant.Ts_s)
+    return result(
+        name, seed, trace, kind.effects, partial(intervals, trace, kind, plant), kind.also
+    )
+
+
+def intervals(
+    trace: ForceTrace, kind: Kind, plant: Plant, effects: Sequence[Mapping[str, Any]]
+) -> Iterator[bool]:
+    """Yield whether each interval has the truth; a gain at a working point has none."""
+    point = trace.found.point
+    for value, name, se in zip(point.values, point.parameters.names, trace.errors, strict=False):
+        if name != "b" and not (kind.also and name == "w"):
+            yield bool(abs(value - getattr(plant, name)) <= SURE_95 * se)
+    for effect in effects:
+        for parameter, number, sign in kind.law:
+            told = effect["parameters"].get(parameter)
+            if told is not None and told["se"] is not None:
+                truth = sign * getattr(plant, number)
+                yield bool(abs(told["value"] - truth) <= SURE_95 * told["se"])
 
 
 def main() -> None:

@@ -106,7 +106,7 @@ def beam_at_limits(rig: RigConfig, shares: tuple[float, ...] = (-1.0, 1.0)) -> A
 
 def _of_model(rig: RigConfig, config: ModelConfig, period_s: float) -> FeedForwardLaw:
     model = declared_model(config)
-    derivative = _derivatives(config, model)
+    derivative = beam_derivatives(config, model)
     limits = rig.limits
     most = np.array([limits.beam_m, limits.beam_velocity_m_s, limits.beam_acceleration_m_s2])
     alone = np.vstack([np.zeros(3), np.diag(most), -np.diag(most)])
@@ -155,7 +155,7 @@ def _wrench(model: DeclaredModel, derivative: dict[str, int], beam: Array) -> tu
         raise ConfigError("B: expected an invertible matrix, found a singular one") from None
 
 
-def _derivatives(config: ModelConfig, model: DeclaredModel) -> dict[str, int]:
+def beam_derivatives(config: ModelConfig, model: DeclaredModel) -> dict[str, int]:
     """Return the order of the beam position derivative of each scheduling variable.
 
     Raises:

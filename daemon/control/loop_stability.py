@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from ...config.model import ModelConfig
 from ...config.rig import RigConfig
 from ...identification.greybox.declared_model_from_config import declared_model
-from ...model.controller import pi_controller
+from ...identification.subspace.simulation import spectral_radius
+from ...model.controller import closed_loop, pi_controller
 from ...model.second_order import SecondOrder, StateSpace, discretise
+from .feed_forward import beam_derivatives
 
 Array = NDArray[np.float64]
 
@@ -19,15 +21,17 @@ _FACTORS = np.geomspace(1.0, 100.0, 201)
 """Factors of all gains, 2.3 % apart."""
 _BEAM = (-1.0, 0.0, 1.0)
 """Positions of the beam over its limit."""
-_ROUNDING = 1e-9
+_STABLE = 1.0 + 1e-9
+"""Largest spectral radius of a stable loop: 1, and rounding."""
 
 
 @dataclass(frozen=True)
 class LoopStability:
-    """growth_s: time in which a deviation grows by e, infinite for a stable loop.
+    """Whether a loop is stable, and the factor of all gains at which that changes.
 
-    gain_factor: largest factor of all gains up to which the loop is stable, at most 100, and at
-    least as much as is still stable of an unstable one.
+    growth_s: time in s in which a deviation grows by e, infinite for a stable loop. gain_factor: of
+    a stable loop the largest factor of its gains up to which it stays stable, 100 if it is larger;
+    of an unstable one the largest factor below 1 with which it is stable, 0 if there is none.
     """
 
     growth_s: float
@@ -35,17 +39,20 @@ class LoopStability:
 
 
 def loop_stability(rig: RigConfig, period_s: float) -> LoopStability | None:
-    """Return the stability of the PI loop at the beam's limits and centre; None without a model.
+    """Return the stability of the PI loop, the worst with the beam at its limits and its centre.
 
     The model's lag and delay count, and the cycle between a reading and the force that follows from
     it. Limits of forces and the feed-forward do not: a loop that is stable without limits may leave
-    them.
+    them. None for a rig without a model.
+
+    Raises:
+        ConfigError: the model does not fit a rig.
     """
     config = rig.model
     if not isinstance(config, ModelConfig):
         return None
     model = declared_model(config)
-    positions = [n for n, s in config.scheduling.items() if _is_position(s.signal, s.derivative)]
+    positions = [name for name, order in beam_derivatives(config, model).items() if order == 0]
     plants = []
     for share in _BEAM:
         at = model.at(dict.fromkeys(positions, share * rig.limits.beam_m))
@@ -60,22 +67,15 @@ def loop_stability(rig: RigConfig, period_s: float) -> LoopStability | None:
         return max(_radius(rig, plant, factor) for plant in plants)
 
     now = radius(1.0)
-    if now > 1.0 + _ROUNDING:
-        fewer = next((f for f in _FACTORS if radius(1.0 / f) <= 1.0 + _ROUNDING), np.inf)
+    if now > _STABLE:
+        fewer = next((f for f in _FACTORS if radius(1.0 / f) <= _STABLE), np.inf)
         return LoopStability(float(period_s / np.log(now)), float(1.0 / fewer))
-    stable = [radius(f) <= 1.0 + _ROUNDING for f in _FACTORS]
+    stable = [radius(f) <= _STABLE for f in _FACTORS]
     last = int(np.argmin(stable)) - 1 if not all(stable) else len(stable) - 1
     return LoopStability(np.inf, float(_FACTORS[last]))
-
-
-def _is_position(signal: str, derivative: bool) -> bool:
-    return signal in ("beam_m", "beam_ref_m") and not derivative
 
 
 def _radius(rig: RigConfig, plant: StateSpace, factor: float) -> float:
     """Return the spectral radius of the loop with all gains times a factor."""
     kp, ki = (factor * np.array(gains) for gains in (rig.control.kp, rig.control.ki))
-    C = pi_controller(kp, ki, plant.Ts_s)
-    B_y, D_y = C.by_output
-    closed = np.block([[plant.A + plant.B @ D_y @ plant.C, plant.B @ C.C], [B_y @ plant.C, C.A]])
-    return float(np.abs(np.linalg.eigvals(closed)).max())
+    return spectral_radius(closed_loop(plant, pi_controller(kp, ki, plant.Ts_s)))

@@ -87,6 +87,6 @@ def test_check_refuses_gains_that_diverge(levid: Callable, tmp_path: Path) -> No
     path.write_text(text.replace("kp_n_m: 500", "kp_n_m: 50000"))
     refused = levid("check", path)
     assert refused.code == 1
-    assert (
-        "control: with the model, this loop is unstable: a deviation grows by e in" in refused.err
-    )
+    said = "control: with the model, this loop is unstable: a deviation grows by e in"
+    assert said in refused.err
+    assert "stable of smaller gains: 0.0" in refused.err

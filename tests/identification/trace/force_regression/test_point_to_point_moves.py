@@ -7,7 +7,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from levid.benchmarks.trace.moves_and_shafts import KINDS, Kind, declared, flights, traced
+from levid.benchmarks.trace.judged_plants import traced
+from levid.benchmarks.trace.moves_and_shafts import KINDS, Kind, declared, flights
 from levid.benchmarks.trace.sticking_plants import TS, Shaft, Stage
 from levid.config.model import ModelConfig
 from levid.identification.trace.force_regression.force_trace_summary import force_summary
@@ -35,7 +36,7 @@ def value(trace: ForceTrace, effect_class: str, name: str) -> tuple[float, float
 @pytest.mark.parametrize("seed", [1, 2])
 def test_friction_that_holds_a_stage_at_rest_is_named(seed: int) -> None:
     """At rest its force follows the command, as a delay, a dead zone or a spring would have it."""
-    trace = traced(model(PLANT, MODEL), flights(MODEL, PLANT, seed))
+    trace = traced(model(PLANT, MODEL), flights(MODEL, PLANT, seed), TS)
     assert named(trace) == {("friction", ("x",), False)}
     friction, _ = value(trace, "friction", "friction")
     # 1 % for the corners of its force, which the low-pass of the balance rounds.
@@ -48,14 +49,14 @@ def test_friction_that_holds_a_stage_at_rest_is_named(seed: int) -> None:
 def test_two_effects_that_hide_each_other_are_both_named() -> None:
     """While both are missing, one record contradicts each of them, and a delay is left."""
     plant = Stage(friction=2.4, cogging=1.9)
-    trace = traced(model(plant, MODEL), flights(MODEL, plant, 10))
+    trace = traced(model(plant, MODEL), flights(MODEL, plant, 10), TS)
     assert named(trace) == {("friction", ("x",), False), ("cogging", ("x",), False)}
     assert value(trace, "cogging", "pitch")[0] == pytest.approx(plant.pitch, rel=0.01)
 
 
 def test_backlash_between_two_masses_is_named_at_their_relative_motion() -> None:
     plant, kind = Shaft(half=5e-3), KINDS["gap"]
-    trace = traced(model(plant, kind), flights(kind, plant, 13))
+    trace = traced(model(plant, kind), flights(kind, plant, 13), TS)
     assert named(trace) == {("backlash", ("q1 - q2",), False)}
     assert value(trace, "backlash", "half")[0] == pytest.approx(plant.half, rel=0.03)
     assert trace.found.point.model.values["j2"] == pytest.approx(plant.j2, rel=0.02)
@@ -63,7 +64,7 @@ def test_backlash_between_two_masses_is_named_at_their_relative_motion() -> None
 
 def test_shaft_that_twists_is_named_though_its_load_is_not_measured() -> None:
     plant, kind = Shaft(), KINDS["motor of a soft shaft"]
-    trace = traced(model(plant, kind), flights(kind, plant, 16))
+    trace = traced(model(plant, kind), flights(kind, plant, 16), TS)
     assert ("flexible_mode", ("q1",), False) in named(trace)
     hz, _ = value(trace, "flexible_mode", "frequency")
     assert hz == pytest.approx(np.sqrt(plant.k / plant.j2) / (2 * pi), rel=0.02)
@@ -103,7 +104,7 @@ def test_model_of_which_every_term_is_free_keeps_the_scale_of_its_input() -> Non
     known = model(PLANT, MODEL)
     mass = known.parameters["m"].model_copy(update={"fixed": False, "min": 0.1, "max": 50.0})
     free = known.model_copy(update={"parameters": {**known.parameters, "m": mass}})
-    trace = traced(free, flights(MODEL, PLANT, 3))
+    trace = traced(free, flights(MODEL, PLANT, 3), TS)
     held = free.parameters["kf"].value
     assert any(f"kf is held at {held:.4g}" in note for note in trace.notes)
     assert named(trace) == {("friction", ("x",), False)}
@@ -116,5 +117,5 @@ def test_model_without_a_free_parameter_is_traced() -> None:
     known = model(PLANT, MODEL)
     fixed = {k: p.model_copy(update={"fixed": True}) for k, p in known.parameters.items()}
     exact = {k: p.model_copy(update={"value": getattr(PLANT, k)}) for k, p in fixed.items()}
-    trace = traced(known.model_copy(update={"parameters": exact}), flights(MODEL, PLANT, 3))
+    trace = traced(known.model_copy(update={"parameters": exact}), flights(MODEL, PLANT, 3), TS)
     assert named(trace) == {("friction", ("x",), False)}

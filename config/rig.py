@@ -242,15 +242,14 @@ class RigConfig(Strict):
         own = self.geometry
         arm_m = max(abs(x) for x in (*own.coil_x_m, *own.coil_y_m))
         for name, unit, limit, of in (
-            ("gap_m", "m", _SMALL_ANGLE * arm_m, " at the longest arm"),
+            ("gap_m", "m", _SMALL_ANGLE * arm_m, f", {_SMALL_ANGLE:g} rad at the longest arm"),
             ("tilt_rad", "rad", _SMALL_ANGLE, ""),
         ):
             found = getattr(self.limits, name)
             if found is not None and found > limit > 0.0:
                 slip = f"; is it in m{unit}?" if found <= 1e3 * limit else ""
                 raise ValueError(
-                    f"limits.{name}: expected at most {limit:.3g} {unit}, a tilt of "
-                    f"{_SMALL_ANGLE:g} rad{of}, found {found:g}{slip}"
+                    f"limits.{name}: expected at most {limit:.3g} {unit}{of}, found {found:g}{slip}"
                 )
         return self
 

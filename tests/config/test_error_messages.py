@@ -257,9 +257,9 @@ def test_integers_of_thousands_of_digits_are_errors(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("gap_m", 0.85, "0.012 m, a tilt of 0.1 rad at the longest arm, found 0.85; is it in mm"),
-        ("gap_m", 85.0, "0.012 m, a tilt of 0.1 rad at the longest arm, found 85$"),
-        ("tilt_rad", 6.5, "0.1 rad, a tilt of 0.1 rad, found 6.5; is it in mrad"),
+        ("gap_m", 0.85, "0.012 m, 0.1 rad at the longest arm, found 0.85; is it in mm"),
+        ("gap_m", 85.0, "0.012 m, 0.1 rad at the longest arm, found 85$"),
+        ("tilt_rad", 6.5, "0.1 rad, found 6.5; is it in mrad"),
     ],
 )
 def test_limits_of_large_angles_are_errors(

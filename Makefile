@@ -11,12 +11,12 @@ DEV := $(VENV)/.installed-dev
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-long test-rig bench lint format lock clean
+.PHONY: help demo test test-long test-together test-alone test-rig bench lint format lock clean
 
 help:
 	@echo "make demo      fly, identify and trace the simulated rig; print the paths of the reports"
 	@echo "make test      run the tests, about ten minutes on two processors"
-	@echo "make test-long run the tests that kill and restart processes in flight, about six minutes"
+	@echo "make test-long run the long tests: processes killed in flight, many traces; about seven minutes"
 	@echo "make test-rig  run the daemon on vcan in a virtual machine, also as a service (Debian, Ubuntu; root)"
 	@echo "make bench     run every benchmark with --quick"
 	@echo "make lint      run ruff, mypy and import-linter"
@@ -29,14 +29,25 @@ demo: $(RUNTIME)
 
 # Computational tests run in parallel, with one thread per process. Tests that depend on clocks,
 # processes or buses (marker `alone`) run afterwards, one at a time.
+IN_PARALLEL = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest \
+  --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
 test: $(DEV)
 	@failed=0; \
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone" \
-	  --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder || failed=$$?; \
+	$(IN_PARALLEL) -m "not alone and not long" || failed=$$?; \
 	$(BIN)/python -m pytest -m "alone and not long" && exit $$failed
 
 test-long: $(DEV)
-	$(BIN)/python -m pytest -m long
+	@failed=0; \
+	$(IN_PARALLEL) -m "long and not alone" || failed=$$?; \
+	$(BIN)/python -m pytest -m "long and alone" && exit $$failed
+
+# All tests of the two above, in two halves: .ci/run runs the first beside a virtual machine.
+test-together: $(DEV)
+	$(IN_PARALLEL) -m "not alone"
+
+test-alone: $(DEV)
+	$(BIN)/python -m pytest -m alone
 
 test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh

@@ -54,8 +54,13 @@ _LONG = (
     "daemon/supervision/test_coil_check_at_lift_off",
     "daemon/test_flights_on_a_bus",
     "daemon/test_processes_killed",
+    "identification/trace/force_regression/test_drawn_plants",
+    "identification/trace/force_regression/test_erring_sensors",
+    "identification/trace/force_regression/test_loops_under_random_forces",
+    "identification/trace/force_regression/test_point_to_point_moves",
+    "identification/trace/test_worker_pool",
 )
-"""Tests that take minutes: `make test-long` and `.ci/run` run them."""
+"""Tests that take minutes, or trace one plant after another: `make test-long`, `.ci/run`."""
 
 
 def pytest_configure() -> None:

@@ -34,6 +34,7 @@ _VERBS = {
     "trace": ("trace:command", "Find the physical effects that the model lacks, from logs."),
     "new": ("new_files:group", "Write a draft of a YAML file, such as SIGNALS.yaml."),
     "import": ("import_data:command", "Convert measured data (CSV, text, NPZ, MAT) to a log."),
+    "salvage": ("salvage:command", "Recover the rows of damaged logs."),
     "demo": ("demo:command", "Fly, log, identify and trace the simulated rig; write reports."),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 from .errors import LogError
+from .unpacked_size import most_unpacked_bytes, too_much
 
 RECORD_HEAD = Struct("<BQ")  # opcode, length of the rest
 MESSAGE_HEAD_BYTES = RECORD_HEAD.size + 22
@@ -36,7 +38,9 @@ MAX_CHUNK_BYTES = 256 << 20
 _LZ4_BEST_RATIO = 255
 _RUN_BYTES = 16 << 20
 """Size at which a run of messages outside of chunks ends, so that threads can share the runs."""
-_HEAD = "levid-head"
+HEAD = "levid-head"
+"""Name of the metadata with size and CRC of a levid log's head, and of the attachment behind its
+rows that repeats the head."""
 
 # mcap's StreamReader parses each entry of a MessageIndex in Python as well: on flights that takes
 # twice as long as read_log does altogether.
@@ -83,7 +87,8 @@ def scan(data: memoryview) -> Contents:
     """Walk through the records of a file up to its end, or to the first damage: see `problem`.
 
     Raises:
-        LogError: not an MCAP file, or the head of a levid log is damaged.
+        LogError: not an MCAP file, the head of a levid log is damaged, or the chunks state that
+            they hold much more than a file of this size does.
     """
     _check_magic(data)
     walk = _Scan(data)
@@ -91,10 +96,28 @@ def scan(data: memoryview) -> Contents:
         walk.run()
     except LogError as error:
         walk.contents.problem = str(error)
-    walk.check_head()
+    try:
+        walk.check_head()
+    except LogError as error:
+        raise LogError(f"{error}; `levid salvage` recovers the rows") from None
+    _check_unpacked(walk.contents, len(data))
     if not walk.contents.channels:
         _declare_from_chunks(walk.contents)
     return walk.contents
+
+
+def checked_head(data: memoryview) -> Contents | None:
+    """Return the head of a levid log if its CRC confirms it, without any chunk; else None."""
+    walk = _Scan(data)
+    try:
+        _check_magic(data)
+        with contextlib.suppress(LogError):  # damage behind the head
+            walk.run()
+        confirmed = walk.check_head()
+    except LogError:
+        return None
+    walk.contents.chunks = {}
+    return walk.contents if confirmed else None
 
 
 def records(data: memoryview, at: int = 0, where: str = "") -> Iterator[tuple[int, int, int]]:
@@ -194,7 +217,7 @@ class _Scan:
                 run_end, run.uncompressed_size = end, end - run_begin
                 run.data = cast("bytes", data[run_begin:end])
             elif opcode in _PARSERS:
-                self._take(_parsed(data, opcode, at, end), at, end)
+                self._take(parsed(data, opcode, at, end), at, end)
             if opcode == Opcode.FOOTER:
                 break
         else:
@@ -202,25 +225,25 @@ class _Scan:
         if data[end:] != MCAP0_MAGIC:
             raise LogError(f"byte {end}: expected the closing magic and then the end of the file")
 
-    def check_head(self) -> None:
+    def check_head(self) -> bool:
         """Compare schema, channel, attachments and metadata with the CRC that levid writes.
 
-        Tools that copy a log record by record copy this CRC to another offset: then it says
-        nothing.
+        Return whether the CRC confirms them. Tools that copy a log record by record copy this CRC
+        to another offset: then it says nothing.
         """
-        stated = self.contents.metadata.get(_HEAD)
+        stated = self.contents.metadata.get(HEAD)
         if stated is None:
-            return
+            return False
         try:
             count, expected = int(stated["bytes"]), int(stated["crc32"], 16)
         except (KeyError, ValueError):
             raise LogError(
-                f"metadata '{_HEAD}': expected the keys 'bytes' and 'crc32', found {stated}"
+                f"metadata '{HEAD}': expected the keys 'bytes' and 'crc32', found {stated}"
             ) from None
-        if count == self._head_end:
-            _check_crc(
-                f"bytes 0 to {count}, with schema and metadata", self._data[:count], expected
-            )
+        if count != self._head_end:
+            return False
+        _check_crc(f"bytes 0 to {count}, with schema and metadata", self._data[:count], expected)
+        return True
 
     def _take(self, record: object, at: int, end: int) -> None:
         contents = self.contents
@@ -235,9 +258,10 @@ class _Scan:
                 body, crc = self._data[at + RECORD_HEAD.size : end - 4], self._data[end - 4 : end]
                 where = f"byte {at}: attachment '{record.name}'"
                 _check_crc(where, body, int.from_bytes(crc, "little"))
-                contents.attachments.setdefault(record.name, bytes(record.data))
+                if record.name != HEAD:
+                    contents.attachments.setdefault(record.name, bytes(record.data))
             case Metadata():
-                if record.name == _HEAD and _HEAD not in contents.metadata:
+                if record.name == HEAD and HEAD not in contents.metadata:
                     self._head_end = at
                 contents.metadata.setdefault(record.name, record.metadata)
             case Statistics():
@@ -288,7 +312,7 @@ class _RecordStream(ReadDataStream):
         return self._data[at : self._at]
 
 
-def _parsed(data: memoryview, opcode: int, at: int, end: int, where: str = "") -> Any:
+def parsed(data: memoryview, opcode: int, at: int, end: int, where: str = "") -> Any:
     """Return the record in bytes [at, end) as mcap parses it; raise LogError if it is damaged."""
     begin = at + RECORD_HEAD.size
     stream = _RecordStream(data, begin, end)
@@ -303,6 +327,14 @@ def _parsed(data: memoryview, opcode: int, at: int, end: int, where: str = "") -
     return record
 
 
+def _check_unpacked(contents: Contents, file_bytes: int) -> None:
+    # A chunk that states too large a size is damaged, and gets no memory.
+    sizes = (chunk.uncompressed_size for chunk in contents.chunks.values())
+    unpacked = sum(size for size in sizes if size <= MAX_CHUNK_BYTES)
+    if unpacked > most_unpacked_bytes(file_bytes):
+        raise LogError(too_much(file_bytes, unpacked))
+
+
 def _declare_from_chunks(contents: Contents) -> None:
     """Find the channels of a log that declares them only among its messages."""
     decompress = Decompressor()
@@ -312,7 +344,7 @@ def _declare_from_chunks(contents: Contents) -> None:
             raw = decompress(offset, chunk)
             for opcode, at, end in records(raw, where=where):
                 if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    record = _parsed(raw, opcode, at, end, where)
+                    record = parsed(raw, opcode, at, end, where)
                     contents.declare(record, f"{where}byte {at}")
         except LogError as error:
             contents.problem = str(error)

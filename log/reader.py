@@ -65,7 +65,7 @@ def read_log(path: Path | str) -> Log:
     """
     path = Path(path)
     try:
-        return _read(path, _mapped(path))
+        return _read(path, mapped(path))
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
 
@@ -75,7 +75,8 @@ def memory_bytes() -> int:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def _mapped(path: Path) -> memoryview:
+def mapped(path: Path) -> memoryview:
+    """Return the bytes of a file, read as they are needed; raise LogError if it is not one."""
     try:
         if path.is_dir():
             raise LogError("expected a log, found a folder: give the logs in it, as FOLDER/*.mcap")
@@ -91,7 +92,7 @@ def _mapped(path: Path) -> memoryview:
 
 def _read(path: Path, data: memoryview) -> Log:
     contents = scan(data)
-    channel, dtype = _choose_channel(contents)
+    channel, dtype = described_channel(contents)
     cdr, first = _first_message(contents, channel)
     in_file = dtype if cdr == CDR_LE else dtype.newbyteorder(">")
     layout = MessageLayout(channel, in_file, cdr)
@@ -108,7 +109,7 @@ def _read(path: Path, data: memoryview) -> Log:
         path=path,
         rows=rows if rows.dtype == dtype else rows.astype(dtype),
         log_time_ns=times,
-        rate_hz=_rate_hz(metadata, times),
+        rate_hz=rate_hz_of(metadata, times),
         schema_name=contents.schemas[contents.channels[channel].schema_id].name,
         metadata=metadata,
         attachments=contents.attachments,
@@ -117,7 +118,7 @@ def _read(path: Path, data: memoryview) -> Log:
     )
 
 
-def _choose_channel(contents: Contents) -> tuple[int, np.dtype[np.void]]:
+def described_channel(contents: Contents) -> tuple[int, np.dtype[np.void]]:
     """Return number and little-endian dtype of the channel to read."""
     fixed: dict[int, np.dtype[np.void]] = {}
     reasons = []
@@ -227,7 +228,7 @@ def _gib(size: int) -> str:
     return f"{size / 2**30:.3g} GiB"
 
 
-def _rate_hz(metadata: dict[str, str], times: NDArray[np.uint64]) -> float:
+def rate_hz_of(metadata: dict[str, str], times: NDArray[np.uint64]) -> float:
     """Return the rate stated by the metadata, else the rate of the median time step."""
     if "rate_hz" in metadata:
         try:

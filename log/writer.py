@@ -35,11 +35,13 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from .errors import LogError
+from .mcap_scan import HEAD
 from .message_array import MessageLayout
 from .signals import ros2msg
 
 FORMAT = "1"
-MAX_CHUNK_ROWS = 8192
+FIRST_CHUNK_ROWS, MAX_CHUNK_ROWS = 32, 8192
+"""Rows of the first chunk. The next ones hold as many as all before them, up to the largest."""
 # Measured on flights at 1 and 10 kHz: zstd at level -3 gives files 7 % smaller than lz4 and 10 %
 # larger than zstd at level 1; it writes and reads as fast as lz4, and 1.5 and 2 times as fast as
 # level 1. Without compression a file is 1.8 times as large and reads 1.4 to 1.5 times as fast.
@@ -63,8 +65,10 @@ BEGINNING = MCAP0_MAGIC + record_bytes(Header(Profile.ROS2, f"levid {__version__
 
 
 class LogWriter:
-    """Write one log file, a chunk (0.9 s of rows) at a time.
+    """Write one log file, a chunk at a time: the first is small, later ones hold 0.9 s of rows.
 
+    A log that is cut off anywhere so has half of its rows at least, or less than the first chunk. A
+    copy of the head follows the rows: `levid salvage` needs it where the head is damaged.
     Equal rows, times, metadata and attachments give equal bytes. Not safe for several threads.
 
     Args:
@@ -75,6 +79,7 @@ class LogWriter:
         attachments: contents by name, written at the head so that a log cut off has them.
         units: units of fields that are not in SIGNALS, for the schema's comments.
         chunk_s: longest time in one chunk, which is the most that a crash of this process loses.
+        schema: the ros2msg text of the schema, where it is known; units are then left out.
 
     Raises:
         LogError: the file exists or cannot be written, or the dtype does not fit a ros2msg.
@@ -92,10 +97,11 @@ class LogWriter:
         topic: str = "/levid/cycle",
         units: Mapping[str, str] | None = None,
         chunk_s: float = 0.9,
+        schema: str | None = None,
     ) -> None:
         self.path = Path(path)
         self.dtype = dtype
-        text = ros2msg(dtype, units).encode()
+        text = (ros2msg(dtype, units) if schema is None else schema).encode()
         self._schema = Schema(id=_ID, name=schema_name, encoding=SchemaEncoding.ROS2, data=text)
         self._channel = Channel(
             id=_ID, schema_id=_ID, topic=topic, message_encoding=MessageEncoding.CDR, metadata={}
@@ -110,6 +116,7 @@ class LogWriter:
         # Opaque items of the same size: numpy then copies bytes, not field by field.
         self._payload = self._buffer["payload"].view(f"V{dtype.itemsize}")[:, 0]
         self._filled = 0
+        self._room = min(FIRST_CHUNK_ROWS, rows)
         self._count = 0
         self._start_ns, self._end_ns = 0, 0
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
@@ -154,10 +161,10 @@ class LogWriter:
             raise LogError(f"{self.path}: the log is closed")
         done = 0
         while done < rows.size:
-            count = min(rows.size - done, self._buffer.size - self._filled)
+            count = min(rows.size - done, self._room - self._filled)
             self._fill(rows[done : done + count], log_time_ns[done : done + count])
             done += count
-            if self._filled == self._buffer.size:
+            if self._filled == self._room:
                 self._put_chunk()
 
     @property
@@ -180,6 +187,7 @@ class LogWriter:
             return
         if self._filled:
             self._put_chunk()
+        self._put_attachment(HEAD, self._head)
         self._put(record_bytes(DataEnd(self._crc)))
         self._put(self._summary(self._at) + MCAP0_MAGIC)
         self._file.close()
@@ -196,24 +204,28 @@ class LogWriter:
         self.close()
 
     def _put_head(self, facts: Mapping[str, str], attachments: Mapping[str, bytes]) -> None:
-        self._put(BEGINNING + record_bytes(self._schema, self._channel))
-        for name, data in attachments.items():
-            # The times are 0: not known, and equal input gives equal bytes.
-            media_type = _media_type(name)
-            record = record_bytes(Attachment(0, 0, name, media_type, data))
-            index = AttachmentIndex(self._at, len(record), 0, 0, len(data), name, media_type)
-            self._attachment_indexes.append(index)
-            self._put(record)
-        self._put_metadata("levid", facts)
+        head = [self._put(BEGINNING + record_bytes(self._schema, self._channel))]
+        head += [self._put_attachment(name, data) for name, data in attachments.items()]
+        head.append(self._put_metadata("levid", facts))
         # The head has no CRC of its own in MCAP, and a log cut off lacks the CRC of all data.
-        self._put_metadata("levid-head", {"bytes": str(self._at), "crc32": f"{self._crc:08x}"})
+        stated = {"bytes": str(self._at), "crc32": f"{self._crc:08x}"}
+        head.append(self._put_metadata(HEAD, stated))
+        self._head = b"".join(head)
 
-    def _put_metadata(self, name: str, mapping: Mapping[str, str]) -> None:
+    def _put_attachment(self, name: str, data: bytes) -> bytes:
+        # The times are 0: not known, and equal input gives equal bytes.
+        media_type = _media_type(name)
+        record = record_bytes(Attachment(0, 0, name, media_type, data))
+        index = AttachmentIndex(self._at, len(record), 0, 0, len(data), name, media_type)
+        self._attachment_indexes.append(index)
+        return self._put(record)
+
+    def _put_metadata(self, name: str, mapping: Mapping[str, str]) -> bytes:
         # A file name may hold bytes that are not text: they become '?'.
         text = {key: value.encode("utf-8", "replace").decode() for key, value in mapping.items()}
         record = record_bytes(Metadata(name, text))
         self._metadata_indexes.append(MetadataIndex(self._at, len(record), name))
-        self._put(record)
+        return self._put(record)
 
     def _fill(self, rows: NDArray[np.void], log_time_ns: NDArray[np.uint64]) -> None:
         place = slice(self._filled, self._filled + rows.size)
@@ -263,6 +275,7 @@ class LogWriter:
         self._end_ns = max(end, self._end_ns)
         self._count += self._filled
         self._filled = 0
+        self._room = min(max(self._room, self._count), self._buffer.size)
 
     def _summary(self, summary_start: int) -> bytes:
         """Return summary, summary offsets and footer for a summary that starts at that byte."""
@@ -297,7 +310,7 @@ class LogWriter:
         crc = zlib.crc32(summary + before_crc)
         return summary + record_bytes(Footer(summary_start, offset_start, crc))
 
-    def _put(self, data: bytes) -> None:
+    def _put(self, data: bytes) -> bytes:
         try:
             view = memoryview(data)
             while view:
@@ -307,6 +320,7 @@ class LogWriter:
             raise LogError(f"{self.path}: cannot be written: {error.strerror}") from None
         self._crc = zlib.crc32(data, self._crc)
         self._at += len(data)
+        return data
 
 
 def _write_message_index(

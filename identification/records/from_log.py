@@ -173,7 +173,10 @@ def truncation_remarks(log: Log) -> list[str]:
     """Return a remark if the log is truncated."""
     if log.complete:
         return []
-    return [f"the log is truncated ({log.problem}); its readable part is used"]
+    return [
+        f"the log is truncated ({log.problem}); its readable part is used, and `levid salvage` "
+        "recovers what follows damage"
+    ]
 
 
 def imported_record(log: Log) -> Record:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterator, Mapping
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import scipy.io
 from numpy.typing import NDArray
 
 from ..errors import LogError
+from ..unpacked_size import most_unpacked_bytes, too_much
 from .delimited_text import check_length
 from .signals_yaml import Column, SignalsFile
 
@@ -69,7 +71,10 @@ def read_variables(path: Path, signals: SignalsFile, variables: Mapping[str, Any
             )
     check_length(path, signals.rows, columns[0].size)
     begin, end = signals.rows.first, signals.rows.end
-    return [np.where(np.isfinite(v[begin:end]), v[begin:end], np.nan) for v in columns]
+    chosen = [v[begin:end] for v in columns]
+    for values in chosen:  # in place: they are copies already
+        values[~np.isfinite(values)] = np.nan
+    return chosen
 
 
 def list_variables(variables: Mapping[str, Any]) -> list[Variable]:
@@ -88,6 +93,7 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
             return {ONLY: loaded}
         found: dict[str, NDArray[Any]] = {}
         with loaded:
+            _check_unpacked(path, loaded.zip.infolist())
             for name in loaded.files:
                 try:
                     found[name] = loaded[name]
@@ -98,6 +104,15 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
         return found
     except Exception as error:  # noqa: BLE001 - zipfile, zlib and numpy raise different errors
         raise LogError(f"{path}: not a usable NPZ file: {error}") from None
+
+
+def _check_unpacked(path: Path, members: Iterable[zipfile.ZipInfo]) -> None:
+    # zipfile reads no more of a member than the size that the archive states.
+    on_disk, unpacked = path.stat().st_size, sum(member.file_size for member in members)
+    if unpacked > most_unpacked_bytes(on_disk):
+        raise LogError(
+            f"{too_much(on_disk, unpacked)}; if it is right, save it without compression"
+        )
 
 
 def load_mat(path: Path) -> dict[str, Any]:
@@ -112,6 +127,8 @@ def load_mat(path: Path) -> dict[str, Any]:
             f"{path}: expected a MAT file up to version 7, found 7.3 (HDF5); "
             "in MATLAB, load it and save it again with save(..., '-v7')"
         ) from None
+    except MemoryError:
+        raise  # of the child process, which has a limit
     except Exception as error:  # noqa: BLE001 - damage makes scipy raise almost anything
         raise LogError(f"{path}: not a usable MAT file: {error}") from None
     return {name: value for name, value in loaded.items() if not name.startswith("__")}

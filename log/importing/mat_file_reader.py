@@ -1,9 +1,15 @@
-"""Read columns from a MAT file in a child process, because damage can crash scipy's reader."""
+"""Read columns from a MAT file in a child process, because damage can crash scipy's reader.
+
+The child has memory and processor time in proportion to the file, and ends with its parent.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import io
 import json
+import os
+import resource
 import signal
 import subprocess
 import sys
@@ -12,11 +18,22 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import LogError
+from ..unpacked_size import most_unpacked_bytes
 from .array_variables import Columns, Variable, list_variables, load_mat, read_variables
 from .signals_yaml import SignalsFile
 
 _REFUSED = 3
 """Exit code of the child process for a file that does not fit; stdout holds the error."""
+_COPIES = 3
+"""Memory of the child over the size of an unpacked file: the variables, their columns, and the
+array in which these are sent."""
+_CPU_S, _BYTES_PER_S = 20, 2 << 20
+"""Processor time of the child for any file, and bytes of the file for each further second."""
+_TOO_LARGE = (
+    "expected a MAT file that unpacks into memory in proportion to its size, found one that takes "
+    "more: damaged, or made of repeated values; if it is right, save it with '-v6', uncompressed"
+)
+_PR_SET_PDEATHSIG = 1
 
 
 def read_mat(path: Path, signals: SignalsFile) -> Columns:
@@ -50,6 +67,7 @@ def _child(path: Path, request: str) -> bytes:
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         check=False,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # threads take address space
     )
     if child.returncode == _REFUSED:
         raise LogError(child.stdout.decode())
@@ -75,19 +93,42 @@ def _answer(path: Path) -> int:
 
     stdin: the SignalsFile, or nothing for a list of the variables.
     """
-    request = sys.stdin.buffer.read()
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    request = sys.stdin.buffer.read()  # ends early if the parent has ended already
     try:
+        _limit(path)
         variables = load_mat(path)
         if not request:
             found = [[v.path, v.shape, v.content, v.value] for v in list_variables(variables)]
             sys.stdout.buffer.write(json.dumps(found).encode())
             return 0
         columns = read_variables(path, SignalsFile.model_validate_json(request), variables)
+        np.save(sys.stdout.buffer, np.stack(columns), allow_pickle=False)
     except LogError as error:
         sys.stdout.buffer.write(str(error).encode())
         return _REFUSED
-    np.save(sys.stdout.buffer, np.stack(columns), allow_pickle=False)
+    except MemoryError:
+        sys.stdout.buffer.write(f"{path}: {_TOO_LARGE}".encode())
+        return _REFUSED
     return 0
+
+
+def _limit(path: Path) -> None:
+    """Limit memory and processor time of this process; what was imported counts as well."""
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror}") from None
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + _COPIES * most_unpacked_bytes(size))
+    _lower(resource.RLIMIT_CPU, _CPU_S + size // _BYTES_PER_S)
+    _lower(resource.RLIMIT_CORE, 0)
+
+
+def _lower(what: int, limit: int) -> None:
+    hard = resource.getrlimit(what)[1]
+    limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+    resource.setrlimit(what, (limit, limit))
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from levid.log import mcap_scan, reader
+from levid.log import mcap_scan, reader, writer
 from levid.log.errors import LogError
 from levid.log.mcap_scan import RECORD_HEAD, scan
 from levid.log.reader import read_log
@@ -41,8 +41,14 @@ def rows():
 
 @pytest.fixture(scope="module")
 def path(rows, tmp_path_factory):
-    """Return a log with eight chunks of 50 rows."""
+    """Return a log with eight chunks of 50 rows, the first as large as the others."""
     path = tmp_path_factory.mktemp("log") / "a.mcap"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(writer, "FIRST_CHUNK_ROWS", 50)
+        return write(path, rows)
+
+
+def write(path, rows):
     with LogWriter(
         path,
         DTYPE,

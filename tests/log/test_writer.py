@@ -13,9 +13,10 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
 from levid.log.errors import LogError
+from levid.log.mcap_scan import HEAD
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype, ros2msg
-from levid.log.writer import MAX_CHUNK_ROWS, LogWriter
+from levid.log.writer import FIRST_CHUNK_ROWS, MAX_CHUNK_ROWS, LogWriter
 
 DTYPE = cycle_dtype(9, 9)
 START_NS = 1_700_000_000_000_000_000
@@ -100,9 +101,10 @@ def test_summary_agrees_with_the_file(path, rows):
     statistics = summary.statistics
     assert statistics.message_count == rows.size
     assert statistics.channel_message_counts == {1: rows.size}
-    assert statistics.chunk_count == len(summary.chunk_indexes) == 5  # 4 of 500 rows, one of 300
+    # 32, 32, 64, 128, 256, three times 500, and 288 rows.
+    assert statistics.chunk_count == len(summary.chunk_indexes) == 9
     assert (statistics.schema_count, statistics.channel_count) == (1, 1)
-    assert (statistics.attachment_count, statistics.metadata_count) == (2, 2)
+    assert (statistics.attachment_count, statistics.metadata_count) == (3, 2)
     assert statistics.message_start_time == START_NS
     assert statistics.message_end_time == START_NS + 100_000 * (rows.size - 1)
     assert metadata["levid"] == {
@@ -111,7 +113,10 @@ def test_summary_agrees_with_the_file(path, rows):
         "name": "left-psi",
         "rate_hz": "1000.0",
     }
+    head = attachments.pop(HEAD)
     assert attachments == {"rig.yaml": b"levid: rig\n", "host.json": b"{}"}
+    assert head == path.read_bytes()[: len(head)]
+    assert int(metadata[HEAD]["bytes"]) < len(head)
     (channel,) = summary.channels.values()
     (schema,) = summary.schemas.values()
     assert (channel.topic, channel.message_encoding) == ("/levid/cycle", "cdr")
@@ -164,11 +169,16 @@ def test_existing_file_is_not_overwritten(path, rows):
 def test_chunks_have_at_most_their_duration_and_8192_rows(tmp_path):
     for rate_hz, expected in ((10.0, 9), (1000.0, 900), (100_000.0, MAX_CHUNK_ROWS)):
         path = tmp_path / f"{rate_hz}.mcap"
-        rows = random_rows(2 * expected)
+        rows = random_rows(4 * expected)
         with LogWriter(path, DTYPE, rate_hz=rate_hz, metadata={}, attachments={}) as log:
             log.write(rows, times_of(rows.size))
         with path.open("rb") as file:
-            assert len(make_reader(file).get_summary().chunk_indexes) == 2
+            chunks = make_reader(file).get_summary().chunk_indexes
+        counts = [c.message_index_length // 16 for c in chunks]
+        assert max(counts) == expected
+        assert counts[0] == min(FIRST_CHUNK_ROWS, expected)
+        # None holds more than all before it.
+        assert all(n <= sum(counts[:i]) for i, n in enumerate(counts) if i)
 
 
 def test_log_without_close_has_its_complete_chunks(tmp_path, rows):
@@ -181,10 +191,10 @@ def test_log_without_close_has_its_complete_chunks(tmp_path, rows):
         attachments={"a.txt": b"x"},
     )
     log.write(rows[:1750], times_of(1750))
-    # Without close: the file as a killed process leaves it.
+    # Without close: the file as a killed process leaves it. The first 512 rows are in five chunks.
     found = read_log(log.path)
     assert not found.complete
-    assert found.rows.tobytes() == rows[:1500].tobytes()
+    assert found.rows.tobytes() == rows[:1512].tobytes()
     assert found.attachments == {"a.txt": b"x"}
     log.close()
     assert read_log(log.path).complete
@@ -255,7 +265,7 @@ def test_full_disk_gives_an_error_and_a_log_of_complete_chunks(tmp_path, rows):
         fly()
     found = read_log(path)
     assert not found.complete
-    assert found.rows.tobytes() == rows[:1000].tobytes()
+    assert found.rows.tobytes() == rows[:512].tobytes()
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, -1.0, np.nan, np.inf])

@@ -1,0 +1,101 @@
+"""`levid salvage`: recover the rows of damaged logs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .output_folder_check import quoted
+from .progress import say
+
+if TYPE_CHECKING:
+    from ..log.salvage import Salvaged
+
+
+@click.command()
+@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder of the new logs. Default: that of each damaged log.",
+)
+@click.option(
+    "--like",
+    type=click.Path(path_type=Path),
+    help="Undamaged log of the same session, for the description of logs that have lost theirs.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
+def command(logs: tuple[Path, ...], out: Path | None, like: Path | None, as_json: bool) -> int:
+    """Recover all rows in undamaged chunks of LOGS and write them to new logs.
+
+    A log ends for its readers at the first damage. This command finds the chunks behind it, and
+    takes only those whose checksum is right, so no wrong row is returned. LOGS are not changed; the
+    new logs are NAME.salvaged.mcap.
+
+    \b
+    Examples:
+      levid salvage out/first/02-noise.mcap
+      levid salvage out/first/02-noise.mcap --like out/first/01-still.mcap
+    """
+    from ..log.errors import LogError
+    from ..log.salvage import salvage
+
+    results: list[dict[str, object]] = []
+    failed = False
+    for log in logs:
+        target = (log.parent if out is None else out) / f"{log.stem}.salvaged.mcap"
+        try:
+            found = salvage(log, like)
+            if out is not None:
+                out.mkdir(parents=True, exist_ok=True)
+            written = () if found.whole else found.write(target)
+        except LogError as error:
+            failed = True
+            results.append({"log": str(log), "error": str(error)})
+            if not as_json:
+                say(f"error: {error}")
+            continue
+        results.append(_as_json(found, written))
+        if not as_json:
+            _print(found, written)
+    if as_json:
+        click.echo(json.dumps({"logs": results}, indent=1))
+    return 1 if failed else 0
+
+
+def _print(found: Salvaged, written: tuple[Path, ...]) -> None:
+    if not written:
+        click.echo(f"{found.path}: undamaged, nothing to salvage")
+        return
+    click.echo(
+        f"{found.path}: {len(found.rows)} rows in {found.chunks} undamaged chunks, described by "
+        f"{found.described_by}"
+    )
+    for lost in found.lost:
+        rows = "an unknown number of rows" if lost.rows is None else f"{lost.rows} rows"
+        click.echo(
+            f"  lost: {rows} in bytes {lost.begin} to {lost.end}, before row {lost.before_row}"
+        )
+    for path in written:
+        click.echo(f"{path}: written")
+    if not found.metadata:
+        say("What the session was is lost: `levid identify` needs it. Salvage again with --like.")
+        return
+    say(f"next: levid identify {quoted(*written)} --out {quoted(written[0].with_suffix(''))}")
+
+
+def _as_json(found: Salvaged, written: tuple[Path, ...]) -> dict[str, object]:
+    return {
+        "log": str(found.path),
+        "rows": len(found.rows),
+        "chunks": found.chunks,
+        "described_by": found.described_by,
+        "lost": [
+            {"begin": o.begin, "end": o.end, "before_row": o.before_row, "rows": o.rows}
+            for o in found.lost
+        ],
+        "written": [str(path) for path in written],
+    }

@@ -1,0 +1,159 @@
+"""Test that small files which unpack to gigabytes end in an error, with little memory and time.
+
+Each command is a process of its own, whose peak memory includes that of its children.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from mcap.records import Channel, Chunk, Header, Schema
+from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdCompressor
+
+from levid.log.writer import record_bytes
+
+LIMIT_BYTES = 300e6
+CPU_S = 2.0
+SIGNALS = "levid: signals\nrate_hz: 100\ncolumns:\n- {column: a, name: a, unit: V, role: input}\n"
+
+
+def levid(*arguments):
+    """Return exit code, error text, peak memory in bytes and processor time in s of a command."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "levid.cli.main", *map(str, arguments)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    _, status, used = os.wait4(process.pid, 0)
+    text = process.stderr.read()
+    process.stderr.close()
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return process.returncode, text, used.ru_maxrss * 1024, used.ru_utime + used.ru_stime
+
+
+@pytest.fixture(scope="module")
+def start_cost(tmp_path_factory):
+    """Return what the same command takes for a file that is right: most is Python's start."""
+    folder = tmp_path_factory.mktemp("right")
+    (folder / "s.yaml").write_text(SIGNALS)
+    np.savez(folder / "a.npz", a=np.random.default_rng(0).normal(size=2000))
+    scipy.io.savemat(folder / "a.mat", {"a": np.random.default_rng(0).normal(size=2000)})
+    costs = []
+    for name in ("a.npz", "a.mat"):
+        code, text, _, cpu_s = levid(
+            "import", folder / name, "--signals", folder / "s.yaml", "-o", folder / f"{name}.mcap"
+        )
+        assert code == 0, text
+        costs.append(cpu_s)
+    return max(costs)
+
+
+def zeros_npz(path):
+    """Write an array of 400 MB, piece by piece."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": False, "shape": (50_000_000,)}
+    )
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("a.npy", "w", force_zip64=True) as member,
+    ):
+        member.write(header.getvalue())
+        for _ in range(50):
+            member.write(bytes(8_000_000))
+
+
+def claiming_npz(path):
+    """Write an array whose header claims 1.8 GB, of which nothing follows."""
+    with zipfile.ZipFile(path, "w") as archive, archive.open("a.npy", "w") as member:
+        np.lib.format.write_array_header_1_0(
+            member, {"descr": "<f8", "fortran_order": False, "shape": (225_000_000,)}
+        )
+
+
+def zeros_mat(path):
+    scipy.io.savemat(path, {f"a{i}": np.zeros(5_000_000) for i in range(10)}, do_compression=True)
+
+
+def zeros_mcap(path):
+    size = 200 << 20
+    packed = ZstdCompressor().compress(bytes(size))
+    chunks = [Chunk("zstd", packed, 0, 0, 0, size) for _ in range(9)]
+    schema = Schema(1, b"float64 a", "ros2msg", "x/msg/Y")
+    channel = Channel(1, "/x", "cdr", {}, 1)
+    path.write_bytes(MCAP0_MAGIC + record_bytes(Header("ros2", ""), schema, channel, *chunks))
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "verb", "expected"),
+    [
+        (zeros_npz, "a.npz", "import", "expected at most .* when unpacked in a file of"),
+        (claiming_npz, "a.npz", "import", "not a usable NPZ file"),
+        (zeros_mat, "a.mat", "import", "a MAT file that unpacks into memory in proportion"),
+        (zeros_npz, "a.npz", "new", "expected at most .* when unpacked in a file of"),
+        (zeros_mat, "a.mat", "new", "a MAT file that unpacks into memory in proportion"),
+        (zeros_mcap, "a.mcap", "check", "expected at most .* when unpacked in a file of"),
+        (zeros_mcap, "a.mcap", "salvage", "no undamaged chunk"),
+    ],
+)
+def test_error_in_little_memory_and_time(tmp_path, start_cost, write, name, verb, expected):
+    file = tmp_path / name
+    write(file)
+    assert file.stat().st_size < 4e6
+    (tmp_path / "s.yaml").write_text(SIGNALS)
+    options = {
+        "import": ("import", file, "--signals", tmp_path / "s.yaml", "-o", tmp_path / "o.mcap"),
+        "new": ("new", "signals", file, "-o", tmp_path / "n.yaml"),
+    }.get(verb, (verb, file))
+    code, text, peak, cpu_s = levid(*options)
+    assert code == 1
+    assert re.search(expected, text), text
+    assert "Traceback" not in text
+    assert peak < LIMIT_BYTES
+    assert cpu_s < start_cost + CPU_S
+    assert not (tmp_path / "o.mcap").exists()
+
+
+def test_reader_of_a_mat_file_ends_with_its_parent(tmp_path):
+    """SIGTERM ends the command only; its child must not go on alone."""
+    file = tmp_path / "a.mat"
+    os.mkfifo(file)  # the child waits for a writer
+    parent = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from pathlib import Path; "
+            "from levid.log.importing.mat_file_reader import list_mat; list_mat(Path(sys.argv[1]))",
+            str(file),
+        ],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        children, deadline = "", time.monotonic() + 60
+        while not children and time.monotonic() < deadline:
+            time.sleep(0.05)
+            children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().strip()
+        waits = Path(f"/proc/{int(children)}/stat")
+        # The child has asked to end with its parent once it has read its request and sleeps.
+        time.sleep(3.0)
+        assert waits.exists()
+    finally:
+        parent.send_signal(signal.SIGTERM)
+        parent.wait(60)
+    deadline = time.monotonic() + 30
+    while waits.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not waits.exists()

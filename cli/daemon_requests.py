@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from .entry import STOPPED
 from .progress import say
 
 _RIG = click.option(
@@ -200,7 +201,7 @@ def stop(rig_path: Path | None, as_json: bool) -> int:
     Examples:
       levid stop
     """
-    _print(_request("stop", rig_path), as_json, "zero force; run 'levid clear' to fly again")
+    _print(_request("stop", rig_path), as_json, STOPPED)
     return 0
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .model_file_errors import naming_the_file
-from .output_folder_check import older_results, writable_folder
+from .output_folder_check import claimed_folder, older_results
 from .progress import progress, say
 
 if TYPE_CHECKING:
@@ -142,7 +142,6 @@ def identify_logs(
     from ..report.session.flight_data import read_session
 
     # Check everything that needs no log before the long work.
-    writable_folder(out, ("model.yaml", "index.html"), ("figures",))
     declared = None if model is None else load_model(model)
     simulator = None if truth is None else load_yaml(truth, SimConfig)
     flown = False
@@ -154,7 +153,8 @@ def identify_logs(
             raise IdentificationError(f"--truth: expected logs of the rig, found {log.path}")
         return declared or rig_model(log)
 
-    with progress("identifying") as report:
+    claim = claimed_folder(out, ("model.yaml", "index.html"), ("figures",))
+    with claim, progress("identifying") as report:
         chosen = options or Options()
         with naming_the_file(model):
             found = study(
@@ -165,7 +165,6 @@ def identify_logs(
                 lambda remark: say(f"warning: {remark}"),
             )
         # Save the model first: the results of a long fit survive an error in the report.
-        out.mkdir(parents=True, exist_ok=True)
         if found.grey is not None:
             replace_text(out / "model.yaml", to_yaml(found.grey.fitted))
         report("report", 0.85)

@@ -1,14 +1,53 @@
-"""Check output folders before long work, and quote paths for printed shell commands."""
+"""Check and claim output folders before long work, and quote paths for printed shell commands."""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 _MOST_NAMED = 3  # logs that a printed command names one by one
 _FILE_TIME_RESOLUTION_S = 0.05
+
+
+@contextlib.contextmanager
+def claimed_folder(
+    out: Path, files: Iterable[str] = (), folders: Iterable[str] = ()
+) -> Iterator[None]:
+    """Create `out` and keep other levid commands from writing into it meanwhile.
+
+    The lock is that of the folder itself, so nothing is left of it, and it ends with the process. A
+    folder that this creates and that stays empty is removed.
+
+    Raises:
+        ConfigError: the folder, or one of these files and folders in it, cannot be written, or
+            another command writes into it.
+    """
+    from ..config.base import ConfigError
+
+    writable_folder(out, files, folders)
+    created = [p for p in (out, *out.parents) if not p.exists()]
+    out.mkdir(parents=True, exist_ok=True)
+    handle = os.open(out, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(
+                f"--out {out}: another levid command is writing into this folder: wait for it, or "
+                "give another folder"
+            ) from None
+        except OSError:
+            pass  # a file system without locks, as some network shares are
+        yield
+    finally:
+        os.close(handle)
+        with contextlib.suppress(OSError):  # not empty: the results are in it
+            for folder in created:
+                folder.rmdir()
 
 
 def writable_folder(out: Path, files: Iterable[str] = (), folders: Iterable[str] = ()) -> None:

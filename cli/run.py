@@ -28,7 +28,18 @@ def command(rig: Path) -> int:
     """
     from ..config.base import ConfigError
     from ..config.rig import load_rig
-    from ..daemon.api.socket_paths import own_socket
+    from ..daemon.api.socket_paths import listens, own_socket
+
+    try:
+        config = load_rig(rig)
+    except ConfigError as error:
+        click.echo(f"error: {error}", err=True)
+        return EXIT_CONFIG
+    path = own_socket(config)
+    if listens(path):  # asked before the imports of a daemon, which take seconds
+        click.echo(f"error: {path}: another daemon already uses this socket", err=True)
+        return 1
+
     from ..daemon.host.real_time_scheduling import avoid_cpus
     from ..daemon.service.journal import Journal
     from ..daemon.supervision.supervisor import Supervisor
@@ -36,8 +47,6 @@ def command(rig: Path) -> int:
     journal = Journal()
     log = journal.log
     try:
-        config = load_rig(rig)
-        path = own_socket(config)
         avoid_cpus(config.realtime.cpus)
         supervisor = Supervisor(config, rig, path, log)
     except ConfigError as error:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .model_file_errors import naming_the_file
-from .output_folder_check import quoted, same_logs, writable_folder
+from .output_folder_check import claimed_folder, quoted, same_logs
 from .progress import progress, say
 from .value_with_interval import value_with_interval
 
@@ -127,9 +127,9 @@ def trace_logs(
     from ..report.plotting.atomic_write import replace_text
     from ..report.trace.trace_page import trace_report
 
-    writable_folder(out, ("model.yaml", "index.html"), ("figures",))
     config = _model(model, logs)
-    with progress("tracing") as report, _workers(config, workers, dask) as spread:
+    claim = claimed_folder(out, ("model.yaml", "index.html"), ("figures",))
+    with claim, progress("tracing") as report, _workers(config, workers, dask) as spread:
         with naming_the_file(model):
             found = trace(
                 logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
@@ -137,7 +137,6 @@ def trace_logs(
         # Save the model first: the results of a long search survive an error in the report.
         written = None
         try:
-            out.mkdir(parents=True, exist_ok=True)
             replace_text(out / "model.yaml", to_yaml(model_after(found)))
             written = out / "model.yaml"
             report("residual", 0.92)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .output_folder_check import quoted, same_logs, writable_folder
+from .output_folder_check import claimed_folder, quoted, same_logs
 from .progress import progress, say
 from .value_with_interval import value_with_interval
 
@@ -55,13 +55,12 @@ def print_imported(logs: Sequence[Path], model: Path | None, out: Path, as_json:
         raise IdentificationError(
             f"expected --model MODEL.yaml for {logs[0]}, which is not a log of the rig; found none"
         )
-    writable_folder(out, ("model.yaml", "index.html"), ("figures",))
     config = load_model(model)
     undrawn: Exception | None = None
     page = None
-    with progress("tracing") as report:
+    claim = claimed_folder(out, ("model.yaml", "index.html"), ("figures",))
+    with claim, progress("tracing") as report:
         found = trace_imported(logs, config, all_effects, lambda what, x: report(what, 0.9 * x))
-        out.mkdir(parents=True, exist_ok=True)
         written = out / "model.yaml"
         replace_text(written, to_yaml(model_with_effects(found)))
         report("report", 0.95)

@@ -7,7 +7,6 @@ import platform
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -79,6 +78,8 @@ def attachments(rig: RigConfig, rig_text: bytes, session_text: bytes) -> dict[st
 
 
 def _versions() -> dict[str, str]:
+    from importlib.metadata import PackageNotFoundError, version  # slow: `levid stop` must not wait
+
     versions = {"python": platform.python_version()}
     for package in ("levid", "numpy", "scipy", "numba", "mcap"):
         try:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import os
 import shlex
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from levid.cli.output_folder_check import logs_in, older_results, quoted, same_logs, writable_folder
+from levid.cli.output_folder_check import (
+    claimed_folder,
+    logs_in,
+    older_results,
+    quoted,
+    same_logs,
+    writable_folder,
+)
 from levid.config.base import ConfigError
 
 
@@ -69,3 +78,42 @@ def test_results_of_an_earlier_run_are_returned(tmp_path: Path) -> None:
     os.utime(tmp_path / "identified.mat", (began_s + 1.0,) * 2)
     names = ("model.yaml", "identified.mat", "multisine.mat")
     assert older_results(tmp_path, names, began_s) == [tmp_path / "model.yaml"]
+
+
+def test_folder_is_claimed_by_one_process(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b"
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from levid.cli.output_folder_check import claimed_folder\n"
+        "with claimed_folder(Path(sys.argv[1])): print('mine', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(out)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdin is not None
+        assert other.stdout.readline() == "mine\n"
+        another = pytest.raises(ConfigError, match="another levid command is writing")
+        with another, claimed_folder(out):
+            pass
+        other.stdin.close()
+        other.wait()
+    assert not (tmp_path / "a").exists()  # what stays empty goes
+    with claimed_folder(out):
+        (out / "model.yaml").touch()
+    assert sorted(p.name for p in out.iterdir()) == ["model.yaml"]
+
+
+def test_claim_of_a_killed_process_ends_with_it(tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path\n"
+        "from levid.cli.output_folder_check import claimed_folder\n"
+        "with claimed_folder(Path(sys.argv[1])): os.kill(os.getpid(), 9)"
+    )
+    killed = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
+    assert killed.returncode == -9
+    with claimed_folder(tmp_path):
+        pass

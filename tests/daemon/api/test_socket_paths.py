@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -46,6 +47,23 @@ def test_what_a_killed_daemon_left_behind_hides_no_service(
         killed.close()
         assert own.exists()
         assert socket_paths.socket_path(None) == service
+
+
+def test_stop_without_options_imports_next_to_nothing() -> None:
+    """A check of CPU time would depend on the machine; the option parser alone doubles it."""
+    code = (
+        "import sys; sys.argv = ['levid', 'stop']\nfrom levid.cli.entry import main\n"
+        "try: main()\nexcept SystemExit as end: print(end.code, *sys.modules)"
+    )
+    environment = {**os.environ, "XDG_RUNTIME_DIR": "/nonexistent"}
+    environment.pop("RUNTIME_DIRECTORY", None)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    number, *modules = done.stdout.split()
+    assert number == "1"
+    assert done.stderr.startswith("error: no daemon responds at")
+    assert not {"click", "numpy", "yaml", "pydantic", "importlib.metadata"} & set(modules)
 
 
 def test_a_folder_that_others_may_write_to_is_not_trusted() -> None:

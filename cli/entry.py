@@ -1,0 +1,39 @@
+"""Start the `levid` command; `levid stop` without options imports next to nothing.
+
+The forces must be zero soon after somebody has pressed Enter. Most of the time of a command is the
+import of its option parser.
+"""
+
+from __future__ import annotations
+
+import sys
+
+
+def main() -> None:
+    """Run the command line."""
+    if sys.argv[1:] == ["stop"]:
+        sys.exit(stop_at_once())
+    from .main import main as all_commands
+
+    all_commands()
+
+
+def stop_at_once() -> int:
+    """Stop the daemon at the default socket; print the outcome and return the exit code."""
+    from ..daemon.client import Client, DaemonError, socket_path
+
+    try:
+        with Client(socket_path(None)) as client:
+            client.request("stop")
+    except DaemonError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        return 130
+    sys.stdout.write(f"{STOPPED}\n")
+    return 0
+
+
+STOPPED = "zero force; run 'levid clear' to fly again"
+"""What is printed after `levid stop`."""

@@ -31,7 +31,20 @@ _LEAST_REPORTED = 1e-3
     type=click.Path(path_type=Path),
     help="RIG.yaml to check sessions against. Default: the shipped loopback rig.",
 )
-def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
+@click.option(
+    "--preflight",
+    "before_flight",
+    is_flag=True,
+    help="Make the checks before a lift-off: of --rig and this machine, and of each session.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="With --preflight, the folder for the logs. Default: this folder.",
+)
+def command(
+    files: tuple[Path, ...], rig_path: Path | None, before_flight: bool, out: Path | None
+) -> int:
     """Check FILES: rigs, simulators, sessions, models, signals, and logs (.mcap).
 
     Prints one line a file. Each mistake is reported on its own line: file, key, what was expected
@@ -42,10 +55,13 @@ def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
     Examples:
       levid check config/rigs/loopback.yaml config/sessions/beam.yaml
       levid check out/first/*.mcap
+      levid check --preflight my-rig.yaml my-session.yaml --out /data/today
     """
     from ..config.base import ConfigError
     from ..log.errors import LogError
 
+    if before_flight:
+        return _preflight(files, rig_path, out)
     bad = 0
     for path in files:
         try:
@@ -54,6 +70,29 @@ def command(files: tuple[Path, ...], rig_path: Path | None) -> int:
             click.echo(f"{error}", err=True)
             bad += 1
     return 1 if bad else 0
+
+
+def _preflight(files: tuple[Path, ...], rig_path: Path | None, out: Path | None) -> int:
+    from ..config.load_any_kind import load_any
+    from ..config.rig import RigConfig
+    from ..config.session import SessionConfig
+    from ..config.shipped import shipped
+    from .preflight import preflight
+
+    rigs, sessions = [], []
+    for path in files:
+        loaded = load_any(path, {})
+        if isinstance(loaded, RigConfig):
+            rigs.append(path)
+        elif isinstance(loaded, SessionConfig):
+            sessions.append(path)
+        else:
+            raise click.UsageError(f"--preflight: expected rigs and sessions, found {path}")
+    if rig_path is not None:
+        rigs.append(rig_path)
+    if len(rigs) > 1:
+        raise click.UsageError(f"--preflight: expected one rig, found {len(rigs)}")
+    return preflight(rigs[0] if rigs else shipped("rigs/loopback.yaml"), sessions, out)
 
 
 def _check(path: Path, rig_path: Path | None) -> str:
@@ -103,10 +142,6 @@ def _periods(rows: NDArray[np.void]) -> int:
     return max(int(cycle[-1]) - int(cycle[0]) + 1, 0)
 
 
-_LEAST_GAIN_FACTOR = 2.0
-"""A gain margin of 6 dB, as is usual."""
-
-
 def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
     from ..config.rig import with_model
@@ -137,7 +172,7 @@ def _rig(rig: RigConfig, path: Path) -> str:
 def _loop(rig: RigConfig, path: Path) -> str:
     """Return the margin of the control loop in words; empty for a rig without a model."""
     from ..config.base import ConfigError
-    from ..daemon.control.loop_stability import loop_stability
+    from ..daemon.control.loop_stability import USUAL_GAIN_FACTOR, loop_stability
 
     found = loop_stability(rig, 1 / rig.rate_hz)
     if found is None:
@@ -148,10 +183,10 @@ def _loop(rig: RigConfig, path: Path) -> str:
             f"{path}: control: with the model, this loop is unstable: a deviation grows by e in "
             f"{found.growth_s:.2g} s; stable of smaller gains: {fewer}"
         )
-    if found.gain_factor < _LEAST_GAIN_FACTOR:
+    if found.gain_factor < USUAL_GAIN_FACTOR:
         click.echo(
             f"{path}: warning: control: with the model, {found.gain_factor:.2g} times these gains "
-            f"are the limit of stability; expected {_LEAST_GAIN_FACTOR:g} times or more",
+            f"are the limit of stability; expected {USUAL_GAIN_FACTOR:g} times or more",
             err=True,
         )
     return f"; stable up to {found.gain_factor:.2g} times the gains"
@@ -175,11 +210,20 @@ def _feed_forward(rig: RigConfig, path: Path) -> str:
 
 
 def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
+    from ..config.base import ConfigError
     from ..config.rig import load_rig
     from ..config.shipped import shipped
-    from ..daemon.planning.plan import plan_session
+    from ..daemon.planning.plan import MOST_CYCLES, plan_session
+    from ..daemon.planning.planner import least_cycles
 
     rig = load_rig(rig_path or shipped("rigs/loopback.yaml"))
+    rate_hz = config.rate_hz or rig.rate_hz
+    least = least_cycles(config, rate_hz)  # before it is planned, which would take hours
+    if least > MOST_CYCLES:
+        raise ConfigError(
+            f"{path}: steps: expected a total of at most {MOST_CYCLES / rate_hz:g} s at "
+            f"{rate_hz:g} Hz, found {least / rate_hz:g} s; fly several sessions"
+        )
     plan = plan_session(config, rig, source=str(path))
     records = sum(step.kind == "record" for step in plan.steps)
     return (
@@ -189,6 +233,8 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
 
 
 def _model(config: ModelConfig, path: Path) -> str:
+    import numpy as np
+
     from ..config.base import ConfigError
     from ..identification.greybox.declared_model_from_config import declared_model
     from ..model.declared_model import ModelError
@@ -196,7 +242,13 @@ def _model(config: ModelConfig, path: Path) -> str:
 
     try:
         model = declared_model(config)
-        model.at()
+        M = model.at().M
+        # Equations that are scaled differently have an M without symmetry, which says nothing.
+        if np.allclose(M, M.T) and np.linalg.eigvalsh(M).min() <= 0.0:
+            raise ConfigError(
+                f"{path}: M: expected positive masses and moments of inertia in every direction "
+                f"(a positive definite matrix), found eigenvalues {np.linalg.eigvalsh(M)}"
+            )
         placed_effects(config.effects, _places(config))
     except ModelError as error:
         raise ConfigError(f"{path}: {error}") from None

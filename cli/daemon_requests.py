@@ -63,6 +63,9 @@ def status(rig_path: Path | None, as_json: bool) -> int:
         click.echo(f"late: {causes}")
     for line in _resource_problems(answer):
         click.echo(line)
+    for failed in (f for f in answer["preflight"] if f["outcome"] == "failed"):
+        click.echo(f"not ready to lift off: {failed['check']}: {failed['found']}")
+        click.echo(f"  {failed['remedy']}")
     if answer["recording"]:
         click.echo(f"not recording: {answer['recording']}")
     if answer["fault_log"]:
@@ -116,12 +119,20 @@ def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
     "the coils at the first lift-off after the daemon's start and after each `levid clear`.",
 )
 @_IF_GONE
+@click.option(
+    "--override",
+    multiple=True,
+    metavar="CHECK",
+    help="Fly although this check before lift-off failed (`levid status` lists them): devices, "
+    "recorder, disk, real_time, cpu, loop or motion. May be repeated; the log says so.",
+)
 def levitate(
     rig_path: Path | None,
     as_json: bool,
     out: Path | None,
     check_coils: bool | None,
     if_gone: str | None,
+    override: tuple[str, ...],
 ) -> int:
     """Lift off and hold the working point until `levid land`; wait until it levitates.
 
@@ -134,6 +145,8 @@ def levitate(
 
     arguments: dict[str, Any] = {"out": str(out.resolve())} if out else {}
     arguments |= _if_gone(if_gone)
+    if override:
+        arguments["override"] = list(override)
     if check_coils is not None:
         arguments["levitate"] = {"check_coils": {} if check_coils else False}
     answer = _request("levitate", rig_path, **arguments)

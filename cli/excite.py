@@ -51,6 +51,13 @@ _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
     help="What the daemon does if this command is interrupted. Default: service.client_gone of "
     "the rig.",
 )
+@click.option(
+    "--override",
+    multiple=True,
+    metavar="CHECK",
+    help="Fly although this check before lift-off failed (`levid status` lists them): devices, "
+    "recorder, disk, real_time, cpu, loop or motion. May be repeated; the log says so.",
+)
 def command(
     session: Path,
     rig_path: Path | None,
@@ -58,6 +65,7 @@ def command(
     virtual: bool,
     out: Path,
     if_gone: str | None,
+    override: tuple[str, ...],
 ) -> int:
     """Fly SESSION.yaml; write one log per step and a report of the flight to --out.
 
@@ -81,7 +89,7 @@ def command(
     elif sim_path is not None:
         raise click.UsageError("--sim needs --virtual; the daemon flies what its rig names")
     else:
-        result = _on_daemon(session, rig_path, out, if_gone)
+        result = _on_daemon(session, rig_path, out, if_gone, override)
     late = f", {result.late} late cycles" if result.late else ""
     lost = f", {result.lost} rows lost" if result.lost else ""
     say(
@@ -157,7 +165,11 @@ def _text(path: Path) -> str:
 
 
 def _on_daemon(
-    session: Path, rig_path: Path | None, out: Path, if_gone: str | None
+    session: Path,
+    rig_path: Path | None,
+    out: Path,
+    if_gone: str | None,
+    override: tuple[str, ...],
 ) -> FlightResult:
     from ..config.rig import load_rig
     from ..daemon.api.socket_paths import socket_path
@@ -168,7 +180,7 @@ def _on_daemon(
     rig_text = rig.model_dump_json() if rig is not None else None
     try:
         with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:
-            return client.excite(_text(session), out.resolve(), report, rig_text, if_gone)
+            return client.excite(_text(session), out.resolve(), report, rig_text, if_gone, override)
     except NoDaemonError as error:
         raise NoDaemonError(f"{error}, or fly in this process with --virtual") from None
     except KeyboardInterrupt:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .base import Positive, Strict
 
@@ -27,6 +27,10 @@ class Service(Strict):
 
     allow_users: tuple[Id, ...] = ()
     allow_groups: tuple[Id, ...] = ()
+    stop_users: tuple[Id, ...] = ()
+    stop_groups: tuple[Id, ...] = ()
+    watch_users: tuple[Id, ...] = ()
+    watch_groups: tuple[Id, ...] = ()
     client_gone: Literal["go_on", "land"] = "go_on"
     supervisor_gone: Literal["zero", "land"] = "land"
     supervisor_s: Annotated[float, Field(ge=0.05, le=60.0)] = 1.0
@@ -35,13 +39,27 @@ class Service(Strict):
 
 
 class Recording(Strict):
-    """Rotation of log files, and flight recordings of faults."""
+    """Folder of logs and how long they are kept, rotation of files, flight recordings of faults."""
 
+    root: Annotated[str, Field(min_length=1)] | None = None
+    quota_gb: Positive | None = None
+    keep_days: Positive | None = None
+    keep_flights: Annotated[int, Field(ge=1, le=100_000)] = 10
     rotate_mb: Annotated[float, Field(ge=0.1, le=1e6)] = 2000.0
     rotate_s: Annotated[float, Field(ge=1.0, le=86_400.0)] = 3600.0
     faults: str | None = None
     before_fault_s: Annotated[float, Field(ge=0.1, le=60.0)] = 10.0
     keep_faults: Annotated[int, Field(ge=1, le=10_000)] = 100
+
+    @model_validator(mode="after")
+    def _limits_have_a_root(self) -> Self:
+        for key in ("quota_gb", "keep_days"):
+            if getattr(self, key) is not None and self.root is None:
+                raise ValueError(
+                    f"expected root, the folder of all logs, beside {key}: without it levid "
+                    "deletes no log"
+                )
+        return self
 
 
 class SelfTest(Strict):

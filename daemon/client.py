@@ -7,7 +7,7 @@ import errno
 import json
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -119,12 +119,14 @@ class Client:
         report: Callable[[str, float], None],
         rig: str | None = None,
         client_gone: str | None = None,
+        override: Sequence[str] = (),
     ) -> FlightResult:
         """Fly the session given as YAML text, logging into `out` on the daemon's machine.
 
         `report` gets the step name and the fraction flown. With `rig` (YAML text) the daemon
         refuses if it runs another rig. `client_gone`: go_on or land, if this client disconnects;
-        default: service.client_gone of the rig. Raises DaemonError.
+        default: service.client_gone of the rig. override: checks before lift-off whose failure is
+        accepted. Raises DaemonError.
         """
         answer = self.request(
             "excite",
@@ -133,6 +135,7 @@ class Client:
             out=str(out),
             rig=rig,
             client_gone=client_gone,
+            override=list(override),
         )
         return FlightResult(
             tuple(map(Path, answer["logs"])),

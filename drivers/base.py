@@ -120,6 +120,22 @@ class Backend(ABC):
     def check(cls, context: Context, role: str, options: dict[str, Any]) -> None:
         """Check a role's options without touching a device; raises ConfigError."""
 
+    @classmethod
+    def emulated(cls, context: Context, role: str, options: dict[str, Any]) -> bool:  # noqa: ARG003
+        """Return whether the role's device is simulated: no force acts on anything real.
+
+        False unless a backend knows better.
+        """
+        return False
+
+    @classmethod
+    def missing(cls, context: Context, role: str, options: dict[str, Any]) -> str:  # noqa: ARG003
+        """Return what of the machine the role lacks, with a remedy; empty if nothing is known.
+
+        No device is opened.
+        """
+        return ""
+
     @abstractmethod
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the devices of `roles` (options by name); raises DriverError."""

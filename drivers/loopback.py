@@ -29,6 +29,11 @@ class LoopbackBackend(Backend):
             )
         _sim_config(context)
 
+    @classmethod
+    def emulated(cls, context: Context, role: str, options: dict[str, Any]) -> bool:  # noqa: ARG003
+        """Return True: the plant is simulated."""
+        return True
+
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:  # noqa: ARG002
         """Build the plant, at rest on its stops."""
         path, config = _sim_config(context)

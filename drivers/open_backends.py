@@ -9,7 +9,15 @@ from ..config.base import ConfigError
 from ..wire.bus_budget import Budget, check_budget
 from .base import Backend, Context, Devices
 
-__all__ = ["ENTRY_POINT_GROUP", "ROLES", "check_backends", "names", "open_devices"]
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "ROLES",
+    "check_backends",
+    "emulated",
+    "missing",
+    "names",
+    "open_devices",
+]
 
 
 def check_backends(context: Context) -> Budget:
@@ -20,6 +28,23 @@ def check_backends(context: Context) -> Budget:
     for role, (name, options) in _roles(context).items():
         _backend_class(name, role).check(context, role, options)
     return check_budget(context.rig, context.folder)
+
+
+def emulated(context: Context) -> bool:
+    """Return whether all devices of the rig are simulated; no device is opened."""
+    return all(
+        _backend_class(name, role).emulated(context, role, options)
+        for role, (name, options) in _roles(context).items()
+    )
+
+
+def missing(context: Context) -> list[str]:
+    """Return what of the machine the roles lack, such as a network that is down."""
+    found = (
+        _backend_class(name, role).missing(context, role, options)
+        for role, (name, options) in _roles(context).items()
+    )
+    return list(dict.fromkeys(filter(None, found)))
 
 
 def open_devices(context: Context) -> Devices:

@@ -17,6 +17,8 @@ _CHANNEL = slice(RECORD_HEAD.size, RECORD_HEAD.size + 2)
 _CDR = slice(MESSAGE_HEAD_BYTES, MESSAGE_HEAD_BYTES + 2)
 # Some CDR writers pad the payload to a multiple of 4 or 8 bytes.
 _MAX_PADDING = 7
+MESSAGE_BYTES = MESSAGE_HEAD_BYTES + 4 + 16
+"""Bytes of a message beside its payload: its head, the CDR header, its entry in the index."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..host.peer_credentials import Access, peer_of
+from ..host.peer_credentials import Access, Role, forbidden, peer_of
 from ..ipc.json_lines import Closed, Lines, TooLong
 from .unix_listener import WAITING_CLIENTS, ServerError, UnixListener
 
@@ -58,6 +58,11 @@ class Reply:
         self._server.post(self._connection, refusal(error), True)
 
     @property
+    def role(self) -> Role:
+        """What the client may do."""
+        return self._connection.role
+
+    @property
     def waiting(self) -> bool:
         """Whether the client is still connected."""
         return not self._connection.closed
@@ -67,8 +72,8 @@ Handler = Callable[[Mapping[str, Any], Reply], None]
 
 
 class _Connection:
-    def __init__(self, lines: Lines) -> None:
-        self.lines = lines
+    def __init__(self, lines: Lines, role: Role) -> None:
+        self.lines, self.role = lines, role
         self.reply: Reply | None = None  # of the request in progress
         self.used_s = time.monotonic()
         self.closed = False
@@ -219,8 +224,10 @@ class Server:
 
     def _accept(self, accepted: socket.socket) -> None:
         self.requests += 1
+        role = Role.NONE
         try:
-            refused = self.access.refuses(peer_of(accepted))
+            peer = peer_of(accepted)
+            role, refused = self.access.role_of(peer), self.access.refuses(peer)
         except OSError as error:
             refused = f"cannot determine the user of this connection: {error}"
         if len(self._connections) >= _MAX_CLIENTS:
@@ -228,7 +235,7 @@ class Server:
                 accepted.close()
                 return
             self._make_room()
-        connection = _Connection(Lines(accepted, LONGEST_LINE, _MAX_UNREAD))
+        connection = _Connection(Lines(accepted, LONGEST_LINE, _MAX_UNREAD), role)
         self._selector.register(accepted, selectors.EVENT_READ, connection)
         self._connections.append(connection)
         if refused:
@@ -294,6 +301,9 @@ class Server:
         if handler is None:
             reply.refuse(f"op: expected one of {', '.join(sorted(self._handlers))}, found {op!r}")
             return
+        if refused := forbidden(reply.role, str(op)):
+            reply.refuse(refused)
+            return
         try:
             handler(request, reply)
         except Exception as error:  # noqa: BLE001 - no request may end the daemon
@@ -302,6 +312,9 @@ class Server:
     def _handle_long(self, line: bytes, reply: Reply) -> None:
         if self._on_long is None:
             reply.refuse(f"expected a request of at most {LONGEST_SHORT} bytes")
+            return
+        if refused := forbidden(reply.role, "excite, levitate and move"):
+            reply.refuse(refused)
             return
         try:
             self._on_long(line, reply)

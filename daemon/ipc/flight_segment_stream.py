@@ -6,6 +6,7 @@ waits for nothing in a cycle, however long the session is.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from ..control.coil_check import Pushes
 from ..control.flight_segment import Segment
 from ..control.states import State
+from .memory_fences import acquire, release
 from .shared_status_words import ControlWords, Word
 
 Array = NDArray[np.float64]
@@ -28,7 +30,8 @@ _BLOCKS = 16
 class Announced(NamedTuple):
     """Describe a queued segment: its plan, the log of its rows, and the index of its first row.
 
-    `last` marks the last segment of its plan.
+    `last` marks the last segment of its plan. `number` counts the segments, and `check` is the
+    CRC-32 of all other fields: a slot that is not wholly written yet, or an old one, has others.
     """
 
     plan: int
@@ -41,6 +44,8 @@ class Announced(NamedTuple):
     engages: int
     lands: int
     last: int
+    number: int = 0
+    check: int = 0
 
 
 class SegmentStream:
@@ -66,9 +71,14 @@ class SegmentStream:
         """Return the bytes that a stream of `rows` rows needs."""
         return 8 * (_QUEUE * len(Announced._fields) + rows * (12 + coils))
 
-    def announced(self, number: int) -> Announced:
-        """Return segment `number` of the queue."""
-        return Announced(*self._queue[number % _QUEUE].tolist())
+    def announced(self, number: int) -> Announced | None:
+        """Return segment `number` of the queue; None if its slot does not hold it."""
+        acquire()
+        slot = self._queue[number % _QUEUE]
+        found = Announced(*slot.tolist())
+        if found.number != number or found.check != zlib.crc32(slot[:-1]):
+            return None
+        return found
 
     def segment(self, announced: Announced) -> Segment:
         """Return the segment; its row k is row (first + k) % capacity of the arrays."""
@@ -89,13 +99,18 @@ class SegmentStream:
     def announce(self, announced: Announced) -> None:
         """Append a segment to the queue; requires `room_in_queue`."""
         head = self._words[Word.QUEUE_HEAD]
-        self._queue[head % _QUEUE] = announced
+        slot = self._queue[head % _QUEUE]
+        slot[:] = announced._replace(number=head)
+        slot[-1] = zlib.crc32(slot[:-1])
+        release()
         self._words[Word.QUEUE_HEAD] = head + 1
 
     @property
     def room_in_queue(self) -> int:
         """Segments that can be announced."""
-        return _QUEUE - (self._words[Word.QUEUE_HEAD] - self._words[Word.QUEUE_TAIL])
+        room = _QUEUE - (self._words[Word.QUEUE_HEAD] - self._words[Word.QUEUE_TAIL])
+        acquire()
+        return room
 
     def write(self, segment: Segment, begin: int, cycles: int) -> None:
         """Append rows [begin, begin + cycles) of a segment; requires room in the ring."""
@@ -112,6 +127,7 @@ class SegmentStream:
             ):
                 _copy(to[at : at + n], source, begin)
             head, begin, cycles = head + n, begin + n, cycles - n
+        release()
         self._words[Word.ROWS_HEAD] = head
 
 
@@ -159,6 +175,7 @@ class SegmentFeeder:
             return False
         segment, first = logged.segment, words[Word.ROWS_HEAD]
         flown = max(words[Word.ROWS_TAIL], self.base)
+        acquire()
         room = segment_stream.capacity - 1 - (first - flown)
         n = min(segment.cycles - self._written, room, _BLOCK_ROWS)
         if n <= 0 or not segment_stream.room_in_queue:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.daemon_settings import Recording
+from .memory_fences import acquire, release
 
 NO_LOG = 0
 """Tag of a row that belongs to no log."""
@@ -42,7 +43,7 @@ class Ring:
     which a restarted reader continues. `lost` counts rows overwritten unread.
 
     `memory` is shared with other processes and initially zero; without it the ring is private.
-    Counters are aligned words and each cycle ends in a system call: other processes get the update.
+    Counters are aligned words, with a fence between them and the rows they count.
     """
 
     def __init__(
@@ -65,11 +66,15 @@ class Ring:
     @property
     def head(self) -> int:
         """Rows written so far."""
-        return self.words[_HEAD]
+        value = self.words[_HEAD]
+        acquire()
+        return value
 
     @head.setter
     def head(self, value: int) -> None:
+        release()
         self.words[_HEAD] = value
+        release()  # the next row, which overwrites an old one, must not be seen before this
 
     @property
     def tail(self) -> int:
@@ -132,7 +137,8 @@ class Ring:
             rows, tags = self.rows[run].copy(), self.tags[run].copy()
         else:
             rows, tags = self.rows[places], self.tags[places]
-        # Discard rows that the writer may have overwritten during the copy.
+        # Discard rows that the writer may have overwritten during the copy, which is complete.
+        acquire()
         overwritten = min(max(self.head - self.capacity + 1 - first, 0), len(rows))
         return RingRows(first + overwritten, rows[overwritten:], tags[overwritten:])
 

@@ -20,6 +20,7 @@ from ...config.rig import RigConfig
 from ...log.signals import cycle_dtype
 from ..control.controller_memory import heat_of, heated_of, memory_shape
 from .flight_segment_stream import SegmentStream
+from .memory_fences import ORDERED
 from .row_ring import Ring, ring_rows
 from .shared_status_words import ControlWords, Word
 from .timing_histograms import Timing, WakeUps
@@ -28,8 +29,6 @@ _AHEAD_S = 4.0
 """Time for which rows are streamed ahead of the loop."""
 _MIN_ROWS = 4096
 _PAGE = 4096
-_ORDERED_STORES = ("x86_64", "i686")
-"""Architectures on which other processors observe stores in program order."""
 
 
 class SharedMemory:
@@ -93,17 +92,13 @@ class SharedMemory:
 
 
 def memory_order_warnings() -> list[str]:
-    """Return a warning if the processor may reorder stores; empty on x86.
-
-    A row, a detail text or a segment is written before the counter that announces it. Only the
-    processor keeps this order.
-    """
+    """Return a warning if the processor may reorder stores; empty on x86: see memory_fences."""
     machine = platform.machine()
-    if machine in _ORDERED_STORES:
+    if machine in ORDERED:
         return []
     return [
-        f"levid was tested on {_ORDERED_STORES[0]} only, this machine is {machine}: if the "
-        "processor reorders stores, the log or the loop may get incomplete rows or segments"
+        f"levid was tested on {ORDERED[0]} only, this machine is {machine}: the fences of the "
+        "memory that its processes share are compiled, but nobody has flown with them"
     ]
 
 

@@ -11,6 +11,7 @@ from enum import IntEnum, auto
 
 from ..control.faults import Fault
 from ..control.states import State
+from .memory_fences import acquire, release
 
 
 class Word(IntEnum):
@@ -85,7 +86,9 @@ class ControlWords:
     @property
     def fault(self) -> Fault:
         """Current fault of the loop."""
-        return Fault(self.words[Word.FAULT])
+        fault = Fault(self.words[Word.FAULT])
+        acquire()
+        return fault
 
     @property
     def detail(self) -> str:
@@ -96,6 +99,7 @@ class ControlWords:
     def detail(self, text: str) -> None:
         data = text.encode()[: _TEXT_BYTES - 1]
         self._text[:] = data.ljust(_TEXT_BYTES, b"\0")
+        release()  # the fault that it explains is written next
 
     def stop(self, fault: Fault = Fault.STOPPED, detail: str = "") -> None:
         """Request zero force at once with this fault, unless another one is set already."""

@@ -23,6 +23,7 @@ from ..control.late_cycle_detector import Lateness
 from ..control.self_test import self_test
 from ..control.states import State
 from ..ipc.flight_segment_stream import Announced
+from ..ipc.memory_fences import acquire, release
 from ..ipc.row_ring import NO_LOG
 from ..ipc.shared_memory import SharedMemory
 from ..ipc.shared_status_words import Word
@@ -175,7 +176,9 @@ class StateMachine:
         """Hold, or rest at zero force; start the next announced segment."""
         words = self._words
         if words[_QUEUE_TAIL] < words[_QUEUE_HEAD]:
-            self._next_segment()
+            if not self._next_segment():
+                words[_QUEUE_TAIL] = words[_QUEUE_HEAD]
+                self.fail(Fault.SUPERVISOR, "the segment it announced is damaged")
             if self.advance != self._idle:
                 return self.advance()
         return 0
@@ -190,16 +193,18 @@ class StateMachine:
                 self._end_plan()
             elif words[_QUEUE_TAIL] >= words[_QUEUE_HEAD]:
                 self._program_ended("it announced no further segment")
-            else:
-                self._next_segment()
+            elif not self._next_segment():
+                self._program_ended("the segment it announced is damaged")
             if not self._left:
                 return self.advance()
         position = self._position
         if position >= words[_ROWS_HEAD]:
             self._program_ended("it sent no further rows")
             return self.advance()
+        acquire()
         self._left -= 1
         self._position = position + 1
+        release()
         words[_ROWS_TAIL] = position
         return position % self._segment_stream.capacity
 
@@ -236,10 +241,14 @@ class StateMachine:
 
     # Transitions between cycles.
 
-    def _next_segment(self) -> None:
+    def _next_segment(self) -> bool:
+        """Take the next segment from the queue; return False if it is not there as announced."""
         words = self._words
         number = words[_QUEUE_TAIL]
         announced = self._segment_stream.announced(number)
+        if announced is None:
+            return False
+        release()
         words[_QUEUE_TAIL] = number + 1
         self._left = 0
         same_plan = announced.plan == words[Word.PLAN]
@@ -250,13 +259,14 @@ class StateMachine:
             if not same_plan:  # otherwise its last rows follow
                 words[Word.PLAN_DONE] = max(announced.plan, words[Word.PLAN_DONE])
             self.advance = self._idle
-            return
+            return True
         if self._begin(self._segment_stream.segment(announced)):
             words[Word.PLAN] = announced.plan
             self._announced = announced
             self._set_tag(announced.log)
             self._left, self._position = announced.cycles, announced.first
             self.advance = self._fly_program
+        return True
 
     def _begin(self, segment: Segment) -> bool:
         """Pass a segment to the controller; fail if its state must not follow the present one."""
@@ -308,7 +318,8 @@ class StateMachine:
         """Plan of the last announced segment that has not started; 0 if none."""
         words = self._words
         head = words[_QUEUE_HEAD]
-        return self._segment_stream.announced(head - 1).plan if words[_QUEUE_TAIL] < head else 0
+        announced = self._segment_stream.announced(head - 1) if words[_QUEUE_TAIL] < head else None
+        return announced.plan if announced is not None else 0
 
     def _land_unplanned(self, after: NDArray[np.float64] | None = None) -> None:
         """Fly a landing from here, or continue a planned one from its blend row `after` (3,)."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ...config.session import MOST_STEPS
 from ..control.coil_check import Pushes
 from ..control.flight_segment import Segment
+from ..control.preflight_findings import Check
 from ..control.states import State
 from .plan import MOST_CYCLES, Plan, PlannedStep
 
@@ -26,12 +27,14 @@ _MAGIC = b"levidpl1"
 _OPS = ("excite", "levitate", "move")
 _KINDS = ("levitate", "move", "record", "land")
 _CLIENT_GONE = ("", "go_on", "land")
+_CHECKS = tuple(Check)
 _PLACE: list[tuple[str, str]] = [("at", "<i8"), ("n", "<i8")]
 _HEADER = np.dtype(
     [
         ("magic", "S8"),
         ("op", "<i8"),
         ("client_gone", "<i8"),
+        ("override", "<i8"),
         ("rate_hz", "<f8"),
         ("coils", "<i8"),
         ("landing", "<i8", (2,)),
@@ -75,7 +78,7 @@ class PlannedRequest:
     op: `excite`, `levitate` or `move`. out: the log folder, empty for no log. landing: ramp and
     release cycles of an early landing; None keeps those of the flight. client_gone: `go_on`,
     `land`, or empty for the rig's setting. session: text of SESSION.yaml. note: journal line, empty
-    for none.
+    for none. override: the preflight checks that the client takes upon itself.
     """
 
     op: str
@@ -85,6 +88,7 @@ class PlannedRequest:
     client_gone: str = ""
     session: bytes = b""
     note: str = ""
+    override: tuple[Check, ...] = ()
 
 
 def memory_file(name: str, data: bytes = b"") -> int:
@@ -115,6 +119,7 @@ def write_plan(fd: int, planned: PlannedRequest) -> None:
     header["magic"], header["op"] = _MAGIC, _OPS.index(planned.op)
     header["client_gone"] = _CLIENT_GONE.index(planned.client_gone)
     header["rate_hz"], header["coils"], header["name"] = plan.rate_hz, coils, plan.name.encode()
+    header["override"] = sum(1 << _CHECKS.index(check) for check in set(planned.override))
     header["landing"] = (-1, -1) if planned.landing is None else planned.landing
     texts = planned.out.encode(), planned.session, planned.note.encode()
     for part, text in zip(("out", "session", "note"), texts, strict=True):
@@ -156,6 +161,7 @@ def read_plan(fd: int, coils: int) -> PlannedRequest:
         raise PlanFileError("expected a plan's format identifier at the start, found other data")
     _require(0 <= header["op"] < len(_OPS), "op")
     _require(0 <= header["client_gone"] < len(_CLIENT_GONE), "client_gone")
+    _require(0 <= header["override"] < 1 << len(_CHECKS), "override")
     _require(bool(np.isfinite(header["rate_hz"])) and header["rate_hz"] > 0, "rate_hz")
     steps = _table(memory, header["steps"], _STEPS, "steps")
     segments = _table(memory, header["segments"], _SEGMENTS, "segments")
@@ -188,6 +194,7 @@ def read_plan(fd: int, coils: int) -> PlannedRequest:
         _CLIENT_GONE[header["client_gone"]],
         _blob(memory, header["session"], _MOST_SESSION, "session"),
         _blob(memory, header["note"], MOST_WORDS, "note").decode(errors="replace"),
+        tuple(check for i, check in enumerate(_CHECKS) if int(header["override"]) >> i & 1),
     )
 
 

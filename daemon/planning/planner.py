@@ -10,11 +10,16 @@ from typing import Any
 from ...config.base import ConfigError, parse, parse_text
 from ...config.rig import RigConfig
 from ...config.session import CoilCheck, Land, Levitate, Move, SessionConfig, Step
+from ..control.preflight_findings import Check, check_names
 from ..control.states import State
 from .plan import MOST_CYCLES, Plan, plan_session, plan_steps
 from .plan_memory_file import PlannedRequest
+from .predicted_motion import motion_finding
 
-RELOADED = ("allow_users", "allow_groups", "client_gone")
+RELOADED = (
+    *(f"{may}_{who}" for may in ("allow", "stop", "watch") for who in ("users", "groups")),
+    "client_gone",
+)
 """Keys of the rig's `service` that may change while the daemon runs."""
 
 Request = Mapping[str, Any]
@@ -42,6 +47,7 @@ class Planner:
 
     def __init__(self, rig: RigConfig) -> None:
         self._rig = rig
+        self.recording = rig.recording
         self._ops = {"excite": self._session, "levitate": self._lift_off, "move": self._move}
 
     def plan(self, line: bytes, situation: Situation) -> PlannedRequest:
@@ -82,8 +88,18 @@ class Planner:
         self._require_length(session.name, least_cycles(session, self._rig.rate_hz))
         check, note = self._due_check(session.steps[0].levitate, situation)
         plan = plan_session(session, self._rig, situation.beam_m, situation.rotor_rad, check=check)
+        note = "; ".join(filter(None, [note, self._check_motion(plan, request)]))
         land = session.steps[-1].land or Land()
         return self._planned("excite", plan, request, land, out, text.encode(), note)
+
+    def _check_motion(self, plan: Plan, request: Request) -> str:
+        """Return a note if the predicted motion exceeds a limit and the client overrides that."""
+        finding = motion_finding(self._rig, plan)
+        if not finding.failed:
+            return ""
+        if finding.check not in _override(request):
+            raise RefusedError(f"not ready to lift off: {finding}{override_hint(finding.check)}")
+        return f"preflight check failed, overridden by the client: {finding}"
 
     def _lift_off(self, request: Request, situation: Situation) -> PlannedRequest:
         _require_rest("levitate", situation)
@@ -143,7 +159,8 @@ class Planner:
             landing = round(land.ramp_s * rate_hz), round(land.release_s * rate_hz)
             self._require_length(f"{plan.name}: land", sum(landing))
         gone = str(request.get("client_gone") or "")
-        return PlannedRequest(op, plan, out, landing, gone, session, note)
+        override = _override(request)
+        return PlannedRequest(op, plan, out, landing, gone, session, note, override)
 
     def _require_length(self, name: str, cycles: int) -> None:
         rate_hz = self._rig.rate_hz
@@ -165,6 +182,22 @@ class Planner:
             raise ConfigError(
                 f"rig {rig.name}: it differs from the rig of the daemon; restart the daemon with it"
             )
+
+
+def override_hint(*checks: Check) -> str:
+    """Return how a client flies in spite of failed checks, as the end of a refusal."""
+    options = " ".join(f"--override {check}" for check in checks)
+    return f". To fly all the same, at your own risk: {options}"
+
+
+def _override(request: Request) -> tuple[Check, ...]:
+    names = request.get("override") or []
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise RefusedError("override: expected a list of names of preflight checks")
+    try:
+        return check_names(names)
+    except ValueError as error:
+        raise RefusedError(f"override: {error}") from None
 
 
 def least_cycles(session: SessionConfig, rate_hz: float) -> int:

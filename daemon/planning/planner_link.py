@@ -114,8 +114,8 @@ class PlannerLink:
         self._cancelled = None
         self._task = _Task(self._jobs, work, fds[1])
 
-    def answer(self) -> PlannedRequest | bool | None:
-        """Return the plan, or True for a folder that was created; None while the task runs.
+    def answer(self) -> PlannedRequest | str | None:
+        """Return the plan, or a journal line (or "") for a folder; None while the task runs.
 
         Raises:
             RefusedError: the task failed, or the planner ended.
@@ -144,7 +144,7 @@ class PlannerLink:
                 raise RefusedError(f"planning failed (exit code {ended.code}); see the journal")
             self._pause_s = _FIRST_PAUSE_S
             if task.work is Work.FOLDER:
-                return True
+                return read_refusal(task.result)
             return read_plan(task.result, self._coils)
         except (PlanFileError, ValueError, OSError) as error:
             raise RefusedError(f"the planner wrote an invalid plan: {error}") from None

@@ -24,9 +24,10 @@ from ..control.states import State
 from ..host.child_process import receive_signals
 from ..host.process_confinement import Confinement, at_most_half_memory, confine
 from ..host.real_time_scheduling import set_process_name, signal_at_parent_death
+from .log_folder import make_folder
 from .plan import MOST_CYCLES
 from .plan_memory_file import memory_file, write_plan, write_refusal
-from .planner import Planner, RefusedError, Situation
+from .planner import Planner, Situation
 
 PLANNED, REFUSED = 0, 3
 """Exit codes of a child; the result file holds the plan or the reason of the refusal."""
@@ -43,14 +44,15 @@ class Work(IntEnum):
 
     NOTHING = 0  # cancels the current task; sent without files
     PLAN = 1
-    FOLDER = 2  # create the log folder and check that it holds no logs
+    FOLDER = 2  # create the log folder, check that it holds no logs and its disk has room
 
 
 class Question(NamedTuple):
     """Message from the supervisor: the task and the start of a plan; two files go with it.
 
-    The first file holds the request (a line of JSON, or the path of a folder), the second one takes
-    the result.
+    The first file holds the request: a line of JSON, or for a folder its path, that of
+    `recording.root` (or nothing) and the room that the logs need in bytes, with zero bytes between.
+    The second one takes the result.
     """
 
     job: int
@@ -131,7 +133,9 @@ class PlannerProcess:
             if planning:
                 write_plan(result, self._planner.plan(data, _situation(question)))
             else:
-                make_folder(Path(os.fsdecode(data)))
+                folder, root, needed = map(os.fsdecode, data.split(b"\0"))
+                note = make_folder(Path(folder), int(needed), root, self._planner.recording)
+                write_refusal(result, note)
         except MemoryError:
             write_refusal(result, "planning exceeds its memory limit: fly shorter sessions")
             return REFUSED
@@ -139,22 +143,6 @@ class PlannerProcess:
             write_refusal(result, str(error) or type(error).__name__)
             return REFUSED
         return PLANNED
-
-
-def make_folder(folder: Path) -> None:
-    """Create the folder for the logs of a flight.
-
-    Raises:
-        RefusedError: it cannot be created, holds logs, or is not writable.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RefusedError(f"{folder}: cannot create the folder: {error.strerror}") from None
-    if any(folder.glob("*.mcap")):
-        raise RefusedError(f"{folder}: expected a folder without logs; name another one")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise RefusedError(f"{folder}: the daemon has no write access to this folder")
 
 
 def warm_up(planner: Planner) -> None:

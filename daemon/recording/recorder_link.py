@@ -74,13 +74,18 @@ class RecorderLink:
         return self._child.pid
 
     @property
-    def problem(self) -> str:
-        """Why nothing is recorded; empty if recording works."""
+    def gone(self) -> str:
+        """Why no recorder runs; empty if one does."""
         if not self._child.running:
             return f"the recorder ended ({self._child.end}) and will be restarted"
         if self._hung:
             return "the recorder hangs, perhaps with its disk: it is restarted once it ends"
-        return self._log_failed or self._fault_failed
+        return ""
+
+    @property
+    def problem(self) -> str:
+        """Why nothing is recorded; empty if recording works."""
+        return self.gone or self._log_failed or self._fault_failed
 
     def define(self, file: LogFile) -> int:
         """Announce a log to the recorder; return the tag for its rows."""

@@ -41,6 +41,7 @@ _QUEUE = 64
 _CAN_FD_MTU = 72
 _INTERNET = ("udp_multicast", "socketcand")
 _IN_PROCESS = ("levid_local", "virtual")
+_STATE = "/var/lib/levid"
 _HEAD = "# Written by levid install-service; changes by hand keep it from being written anew: "
 _HIDDEN = ("/tmp", "/var/tmp", "/root", "/run/user")
 _HOMES = ("/home", "/root", "/run/user")
@@ -196,12 +197,22 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path, read: Sequence[Path]
         ]
     if any(path.is_relative_to(home) for path in read for home in _HOMES):
         lines += ["# levid or its rig is in a home directory:", "ProtectHome=read-only"]
+    for written in _written_folders(rig, rig_file):
+        lines += [f'ReadWritePaths="-{_literal(written)}"']
     if _ports(rig):
         lines += [f"DeviceAllow={device} rw" for device in classes]
     if rig.service.metrics_port is not None or _speaks_ip(rig):
         lines += ["RestrictAddressFamilies=AF_INET AF_INET6"]
         lines += ["IPAddressAllow=any" if _speaks_ip(rig) else "IPAddressAllow=localhost"]
     return "\n".join(lines) + "\n"
+
+
+def _written_folders(rig: RigConfig, rig_file: Path) -> Iterator[Path]:
+    """Yield the folders of logs and flight recordings that are not the service's own."""
+    for folder in (rig.recording.root, rig.recording.faults):
+        path = rig_file.parent / folder if folder is not None else None
+        if path is not None and not path.is_relative_to(_STATE):
+            yield path
 
 
 def _udev(rig: RigConfig) -> str:

@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..api.control_server import LONGEST_SHORT, Handler, Reply
 from ..control.faults import Fault
+from ..control.preflight_findings import Check
 from ..control.states import State
 from ..ipc.shared_status_words import Word
 from ..planning.plan_memory_file import PlannedRequest
@@ -20,6 +20,7 @@ from ..planning.planner import RefusedError, Situation
 from ..planning.planner_process import Work
 from ..recording.log_metadata import log_metadata
 from ..recording.log_router import LogFile
+from ..recording.log_size import most_log_bytes
 from .flight_runner import Job, in_fault
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ _PLANNING_S = 600.0
 """Time limit for planning on a busy machine; the planner limits its processor time."""
 _FOLDER_S = 60.0
 """Time limit for creating the log folder: a dead mount never responds."""
+_BY_HAND_S = 3600.0
+"""Time of a flight by hand for whose log the disk must have room."""
 _RECORDER_S = 120.0
 """Time limit to wait for the recorder before a flight; long enough for a busy machine."""
 _MIN_WATCH_S, _MAX_WATCHERS = 0.05, 32
@@ -186,9 +189,17 @@ class Requests:
             supervisor.log_soon(planned.note)
         files: dict[int, LogFile] = {}
         if planned.out:
-            yield from self._work(Work.FOLDER, planned.out.encode(), situation, _FOLDER_S)
+            room = 0 if Check.DISK in planned.override else self._log_bytes(planned)
+            out, root = supervisor.log_folder(planned.out), supervisor.log_root
+            asked = "\0".join((str(out), str(root or ""), str(room)))
+            deleted = yield from self._work(Work.FOLDER, asked.encode(), situation, _FOLDER_S)
+            if deleted:
+                supervisor.log_soon(str(deleted))
             files = self._files(planned)
             yield from self._recorder_ready()
+        if planned.op != "move":
+            for line in supervisor.preflight.require(planned.override):
+                supervisor.log_soon(line)
         supervisor.job_runner.begin(self._job(turn, planned, files))
         if turn.received != self._moment:  # a request came after the last check
             control_words.land()
@@ -212,7 +223,7 @@ class Requests:
 
     def _work(
         self, work: Work, data: bytes, situation: Situation, seconds: float
-    ) -> Generator[str, None, PlannedRequest | bool]:
+    ) -> Generator[str, None, PlannedRequest | str]:
         """Run a task in the planner; return its result."""
         planner = self._supervisor.planner
         planner.start(work, data, situation)
@@ -244,18 +255,28 @@ class Requests:
                 )
             yield "recorder"
 
+    def _log_bytes(self, planned: PlannedRequest) -> int:
+        """Return the most that the logs of a flight take; of a flight by hand, of an hour."""
+        rig = self._supervisor.rig
+        hour = round(_BY_HAND_S * rig.rate_hz)
+        return most_log_bytes(rig, planned.plan.cycles if planned.op == "excite" else hour)
+
     def _files(self, planned: PlannedRequest) -> dict[int, LogFile]:
         """Return the log of each step by its index: one per step, or one for a flight by hand."""
         texts = {**self._supervisor.attachments, "session.yaml": planned.session}
-        plan, folder = planned.plan, Path(planned.out)
+        plan, folder = planned.plan, self._supervisor.log_folder(planned.out)
+        override = {"override": ", ".join(planned.override)} if planned.override else {}
         if planned.op == "excite":
             return {
                 step.index: LogFile(
-                    folder / f"{step.index:02d}-{step.name}.mcap", log_metadata(plan, step), texts
+                    folder / f"{step.index:02d}-{step.name}.mcap",
+                    {**log_metadata(plan, step), **override},
+                    texts,
                 )
                 for step in plan.steps
             }
-        metadata = {**log_metadata(plan, plan.steps[0]), "kind": "flight", "name": "flight"}
+        first = log_metadata(plan, plan.steps[0])
+        metadata = {**first, "kind": "flight", "name": "flight", **override}
         return {0: LogFile(folder / "flight.mcap", metadata, texts)}
 
     def _job(self, turn: _Turn, planned: PlannedRequest, files: dict[int, LogFile]) -> Job:

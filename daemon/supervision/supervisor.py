@@ -37,6 +37,7 @@ from .fault_clearing import PendingClears
 from .flight_runner import JobRunner
 from .loop_monitor import LoopMonitor
 from .missing_readings_at_rest import StaleMonitor
+from .preflight import Preflight
 from .request_handlers import Requests
 from .rig_reload import RigReader
 
@@ -67,6 +68,7 @@ class Supervisor:
         folder = rig_file.parent.resolve()
         check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
         feed_forward(rig, 1.0 / rig.rate_hz)
+        self.preflight = Preflight(self, rig, folder)
         self._log = log
         self._shared = SharedMemory(rig)
         self.control_words = self._shared.control_words
@@ -121,6 +123,26 @@ class Supervisor:
         if not len(rows):
             return 0.0, 0.0
         return float(rows["beam_ref_m"][0]), float(rows["rotor_ref_rad"][0])
+
+    @property
+    def loop_pid(self) -> int | None:
+        """Process id of the loop, None if it does not run."""
+        return self._loop.pid
+
+    @property
+    def log_root(self) -> Path | None:
+        """Folder below which all logs are, None if they may be anywhere."""
+        root = self.rig.recording.root
+        return None if root is None else self._folder / root
+
+    def log_folder(self, out: str) -> Path:
+        """Return the folder for the logs of a request; a relative one is below `log_root`."""
+        root = self.log_root
+        return Path(out) if root is None else root / out
+
+    def timing(self) -> dict[str, Any]:
+        """Return the times of the cycles so far, as in the status."""
+        return self._shared.timing.figures()
 
     def post(self, action: Callable[[], None]) -> None:
         """Run `action` in the supervisor's thread at its next tick; call from any thread."""
@@ -214,6 +236,7 @@ class Supervisor:
         """Return the status of the daemon, with the keys listed in docs/daemon.md."""
         control_words, job_runner = self.control_words, self.job_runner
         job = job_runner.job  # a local reference: the job may end meanwhile
+        timing = self.timing()
         rows = self._shared.ring.last(1).rows
         pose = {
             name: _number(rows[name][0]) if len(rows) else None
@@ -247,8 +270,9 @@ class Supervisor:
                 "planner": self.planner.pid,
             },
             **pose,
+            "preflight": [finding.as_json() for finding in self.preflight.findings(timing)],
             "timing": {
-                **self._shared.timing.figures(),
+                **timing,
                 "wake_up_us": self._shared.wake_ups.figures(),
             },
         }

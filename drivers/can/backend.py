@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -25,6 +26,10 @@ from .amplifiers_and_adc import CanAmplifiers, CanSensors
 from .bus_link import CanLink
 from .canopen_drives import CanDrives
 from .canopen_homing_and_enabling import node_of
+
+_BETWEEN_PROGRAMS = ("virtual", "udp_multicast", "levid_local")
+"""Interfaces on which nothing but programs can be."""
+_NETWORKS, _IS_UP = Path("/sys/class/net"), 0x1
 
 
 class CanBackend(BusBackend):
@@ -49,6 +54,32 @@ class CanBackend(BusBackend):
                 f"limits.coil_n: expected at most {largest_n:g} N, the range of the DBC's "
                 f"setpoints, found {context.rig.limits.coil_n:g} N"
             )
+
+    @classmethod
+    def emulated(cls, context: Context, role: str, options: dict[str, Any]) -> bool:  # noqa: ARG003
+        """Return whether the bus has no hardware: between programs, or the kernel's own."""
+        bus = _bus_of(context.rig, role)
+        if bus.interface == "socketcan":
+            network = _NETWORKS / str(bus.channel)
+            return network.exists() and not (network / "device").exists()
+        return bus.interface in _BETWEEN_PROGRAMS
+
+    @classmethod
+    def missing(cls, context: Context, role: str, options: dict[str, Any]) -> str:  # noqa: ARG003
+        """Return whether the kernel lacks the bus or it is down."""
+        bus = _bus_of(context.rig, role)
+        if bus.interface != "socketcan":
+            return ""
+        network = _NETWORKS / str(bus.channel)
+        if not network.exists():
+            return f"no network interface {bus.channel} (plug in the adapter, load its driver)"
+        flags = int((network / "flags").read_text(), 16)
+        if flags & _IS_UP:
+            return ""
+        return (
+            f"network interface {bus.channel} is down "
+            f"(ip link set {bus.channel} up type can bitrate {bus.bitrate})"
+        )
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the buses, compare limits with the devices, home and enable the drives."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,6 +64,24 @@ class SerialBackend(BusBackend):
                 f"limits.coil_n: expected at most {FORCE_N * LARGEST:g} N, the range of the "
                 f"serial protocol, found {context.rig.limits.coil_n:g} N"
             )
+
+    @classmethod
+    def emulated(cls, context: Context, role: str, options: dict[str, Any]) -> bool:  # noqa: ARG003
+        """Return whether the port is a pseudo-terminal, at whose other end is a program."""
+        found = context.rig.on_bus(role)
+        port = Path(context.rig.serial[found[1].bus].port) if found else Path()
+        return port.exists() and port.resolve().is_relative_to("/dev/pts")
+
+    @classmethod
+    def missing(cls, context: Context, role: str, options: dict[str, Any]) -> str:  # noqa: ARG003
+        """Return whether the port does not exist, or this user may not use it."""
+        found = context.rig.on_bus(role)
+        port = Path(context.rig.serial[found[1].bus].port) if found else None
+        if port is None or "://" in str(port) or os.access(port, os.R_OK | os.W_OK):
+            return ""
+        if not port.exists():
+            return f"no port {port} (plug in the adapter, or start `levid electronics`)"
+        return f"no access to {port} (add this user to its group)"
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the ports, compare limits with the devices, enable the drives."""

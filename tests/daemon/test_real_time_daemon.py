@@ -256,3 +256,28 @@ def test_whoever_was_hung_up_on_hears_why(tmp_path: Path, monkeypatch: pytest.Mo
 def test_no_daemon_says_how_to_start_one(tmp_path: Path) -> None:
     with pytest.raises(DaemonError, match="levid run RIG"), Client(tmp_path / "none.sock"):
         pass
+
+
+def test_lift_off_is_refused_while_a_check_fails(tmp_path: Path) -> None:
+    """With 1.4 times the gains this loop flies, but 1.36 times these would be unstable."""
+    rig = calm(load_rig(RIG_FILE), tmp_path)
+    control = rig.control.model_dump()
+    stiff = {
+        dof: {key: 1.4 * gain for key, gain in gains.items()} for dof, gains in control.items()
+    }
+    rig = rig.model_copy(update={"control": type(rig.control).model_validate(stiff)})
+    with daemon(rig, RIG_FILE, tmp_path) as running, Client(running.socket) as client:
+        checks = {f["check"]: f for f in client.request("status")["preflight"]}
+        assert checks.keys() == {"devices", "recorder", "real_time", "cpu", "loop"}
+        assert checks["devices"]["outcome"] == checks["recorder"]["outcome"] == "passed"
+        assert checks["loop"]["outcome"] == "failed"
+        step = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 0.1, "check_coils": False}
+        with pytest.raises(DaemonError, match=r"loop: stable .*lower the gains.*--override loop"):
+            client.request("levitate", levitate=step)
+        assert client.request("status")["state"] == "IDLE"
+        # The limit of timing only warns: this rig is simulated.
+        client.request("levitate", levitate=step, override=["loop"], out=str(tmp_path / "out"))
+        client.request("land")
+        wait_until(lambda: client.request("status")["session"] is None, 60.0)
+    log = read_log(tmp_path / "out" / "flight.mcap")
+    assert log.metadata["override"] == "loop"

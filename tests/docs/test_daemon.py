@@ -15,9 +15,10 @@ from levid.daemon.client import Client
 
 DOC = (ROOT / "docs" / "daemon.md").read_text()
 (SNIPPET,) = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)
+_TABLE = DOC[DOC.index("| `op` | more keys | answer |") :].partition("\n\n")[0]
 REQUESTS = {
     cells[0].strip("` "): set(re.findall(r"`(\w+)`", cells[2]))
-    for cells in (row.split("|")[1:] for row in re.findall(r"^\| `[a-z]+` \| .*\|$", DOC, re.M))
+    for cells in (row.split("|")[1:] for row in re.findall(r"^\| `[a-z]+` \| .*\|$", _TABLE, re.M))
     if len(cells) == 4 and cells[0].strip("` ") != "op"
 }
 SESSION = """

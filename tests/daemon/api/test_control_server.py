@@ -13,7 +13,7 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,8 @@ from waiting import wait_until
 from levid.config.base import ConfigError
 from levid.config.daemon_settings import Service
 from levid.daemon.api.control_server import LONGEST_LINE, LONGEST_SHORT, Reply, Server, ServerError
-from levid.daemon.client import Client
-from levid.daemon.host.peer_credentials import Access, Peer, peer_of
+from levid.daemon.client import Client, DaemonError
+from levid.daemon.host.peer_credentials import Access, Peer, Role, forbidden, peer_of
 from levid.daemon.ipc.json_lines import Lines
 
 _GIVE_UP_S = 60.0
@@ -312,6 +312,76 @@ def test_access() -> None:
         assert Access(Service(**more)).refuses(stranger) == ""
     with pytest.raises(ConfigError, match="allow_users: no such user 'nobody-at-all'"):
         Access(Service(allow_users=("nobody-at-all",)))
+
+
+def test_roles_include_those_below_them() -> None:
+    access = Access(
+        Service(
+            allow_groups=(54_001,),
+            stop_users=(54_321,),
+            watch_groups=(54_002,),
+            watch_users=(54_321, 54_322),
+        )
+    )
+    assert access.mode == 0o666
+    for uid, gid, role in (
+        (54_321, 1, Role.STOP),  # the highest of several
+        (54_322, 1, Role.WATCH),
+        (54_322, 54_001, Role.FLY),
+        (54_323, 54_002, Role.WATCH),
+        (54_323, 1, Role.NONE),
+    ):
+        assert access.role_of(Peer(1, uid, frozenset({gid}))) is role
+    asked = ("status", "watch", "stop", "land", "levitate", "excite", "move", "clear", "new")
+    allowed = {role: [op for op in asked if not forbidden(role, op)] for role in Role}
+    assert allowed[Role.WATCH] == ["status", "watch"]
+    assert allowed[Role.STOP] == ["status", "watch", "stop", "land"]
+    assert allowed[Role.FLY] == list(asked)
+    assert allowed[Role.NONE] == []
+    assert "may only watch; see service.stop_users and stop_groups" in forbidden(Role.WATCH, "stop")
+
+
+class Watchers(Access):
+    """Let everybody watch, and nobody do more."""
+
+    def role_of(self, _: Peer) -> Role:
+        return Role.WATCH
+
+
+def test_watcher_neither_stops_nor_flies(tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def handler(request: Mapping[str, Any], reply: Reply) -> None:
+        asked.append(request["op"])
+        reply.done()
+
+    handlers = dict.fromkeys(("status", "stop", "excite"), handler)
+    long: list[bytes] = []
+    server = Server(
+        tmp_path / "test.sock",
+        handlers,
+        Watchers(Service()),
+        on_long=lambda line, reply: (long.append(line), reply.done()),  # type: ignore[arg-type, return-value]
+    )
+    server.start()
+    try:
+        with Client(tmp_path / "test.sock") as client:
+            client.request("status")
+            for op in ("stop", "excite"):
+                with pytest.raises(DaemonError, match=f"{op}: this user may only watch"):
+                    client.request(op)
+            with pytest.raises(DaemonError, match="may only watch"):
+                client.request("excite", session="x" * 2000)
+        # Nor by hanging up before the answer.
+        with socket.socket(socket.AF_UNIX) as hasty:
+            hasty.connect(str(tmp_path / "test.sock"))
+            hasty.sendall(b'{"op": "status"}\n' * 5 + b'{"op": "stop"}\n')
+        with Client(tmp_path / "test.sock") as client:
+            client.request("status")
+    finally:
+        server.close()
+    assert set(asked) == {"status"}
+    assert not long
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")

@@ -185,6 +185,7 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
         **{"rig": "here", "rate_hz": 1000.0, "state": "IDLE", "fault": "NONE", "session": None},
         **{"cycle": 5, "late": 0, "stale": 2, "lost": 0, "recording": "", "fault_log": ""},
         "timing": {"lateness_us": us, "execution_us": us},
+        "preflight": [],
         **dict.fromkeys(("clients_gone", "recorder_restarts", "flooded_s"), 0),
         **dict.fromkeys(("memory_stalled_s", "stolen_s"), 0),
     }

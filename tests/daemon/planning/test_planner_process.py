@@ -78,6 +78,9 @@ class Bench:
         self.job_runner = SimpleNamespace(coils_are_known=True, begin=self.begun.append)
         self.planner = self
         self.manipulator = (0.0, 0.0)
+        self.preflight = self
+        self.failed_checks: dict[str, str] = {}
+        self.log_root, self.log_folder = None, Path
         self.rig, self.attachments = RIG, {}
         self.stopping, self.told = False, []
         self.log_soon = self.told.append
@@ -96,7 +99,14 @@ class Bench:
         work, data, situation = self.asked[-1]
         if not self.go_on:
             return None
-        return True if work is Work.FOLDER else Planner(RIG).plan(data, situation)
+        return "" if work is Work.FOLDER else Planner(RIG).plan(data, situation)
+
+    def require(self, overridden: Sequence[str]) -> list[str]:
+        """Refuse for each failed check, as `Preflight` of a rig whose devices are real."""
+        refused = [text for name, text in self.failed_checks.items() if name not in overridden]
+        if refused:
+            raise RefusedError("; ".join(refused))
+        return [f"overridden: {text}" for text in self.failed_checks.values()]
 
     def discard(self) -> None:
         return
@@ -161,6 +171,32 @@ def test_flight_that_is_to_be_logged_waits_for_the_recorder_and_gives_up(bench: 
     bench.tick(1.0, 2)
     assert len(bench.begun) == 1
     assert bench.recorder.asked == 2
+
+
+def test_failed_check_forbids_a_lift_off_until_it_is_overridden(bench: Bench) -> None:
+    bench.failed_checks = {"loop": "unstable"}
+    levitate = bench.requests.handlers["levitate"]
+    levitate({"op": "levitate", "out": "/tmp/x"}, bench.reply())
+    bench.tick(0.01, 5)
+    assert bench.refused == ["unstable"]
+    assert not bench.begun
+    levitate({"op": "levitate", "out": "/tmp/x", "override": ["loop"]}, bench.reply())
+    bench.tick(0.01, 5)
+    (job,) = bench.begun
+    assert bench.told[-1] == "overridden: unstable"
+    assert job.files[0].metadata["override"] == "loop"
+    folder, root, room = bench.asked[-1][1].split(b"\0")
+    assert (folder, root) == (b"/tmp/x", b"")
+    # An hour by hand at 1 kHz, of rows of some 400 bytes.
+    assert 1e9 < int(room) < 3e9
+
+
+def test_move_in_flight_is_not_checked_again(bench: Bench) -> None:
+    bench.failed_checks = {"cpu": "slow"}
+    bench.control_words.state = State.LEVITATING
+    bench.requests.handlers["move"]({"op": "move", "move": {"beam_m": 0.01}}, bench.reply())
+    bench.tick(0.01, 5)
+    assert len(bench.begun) == 1
 
 
 def test_flight_without_a_log_needs_no_recorder(bench: Bench) -> None:

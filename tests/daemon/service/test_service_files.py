@@ -305,3 +305,24 @@ def test_users_that_are_not_there_are_told() -> None:
 
 def test_networkd_is_named_only_where_there_is_something_for_it(tmp_path: Path) -> None:
     assert "networkctl" not in install(tmp_path)[1]
+
+
+def test_the_unit_limits_memory_and_tasks() -> None:
+    unit = service_files(rig("loopback"), RIG_FILE, PROGRAM)[UNIT].splitlines()
+    limits = dict(line.split("=", 1) for line in unit if line.startswith(("MemoryMax", "TasksMax")))
+    assert limits.keys() == {"MemoryMax", "TasksMax"}
+    # Else a planner's child that the kernel kills for its memory would end the flight.
+    assert "OOMPolicy=continue" in unit
+
+
+def test_the_service_may_write_the_logs_where_the_rig_wants_them() -> None:
+    found = rig("loopback")
+    for root, written in (
+        ("/data/levid flights", ['ReadWritePaths="-/data/levid flights"']),
+        ("/var/lib/levid/sessions", []),
+        (None, []),
+    ):
+        recording = found.recording.model_copy(update={"root": root})
+        other = found.model_copy(update={"recording": recording})
+        drop_in = service_files(other, RIG_FILE, PROGRAM)[DROP_IN].splitlines()
+        assert [line for line in drop_in if line.startswith("ReadWritePaths")] == written

@@ -6,6 +6,7 @@ Each command is a process of its own, whose peak memory includes that of its chi
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import signal
@@ -29,19 +30,24 @@ CPU_S = 2.0
 SIGNALS = "levid: signals\nrate_hz: 100\ncolumns:\n- {column: a, name: a, unit: V, role: input}\n"
 
 
+# A process's peak memory includes that of its parent at the fork, so the parent is a small one.
+MEASURED = """
+import json, os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+text = process.stderr.read().decode()
+_, status, used = os.wait4(process.pid, 0)
+print(json.dumps([os.waitstatus_to_exitcode(status), text, 1024 * used.ru_maxrss,
+                  used.ru_utime + used.ru_stime]))
+"""
+
+
 def levid(*arguments):
     """Return exit code, error text, peak memory in bytes and processor time in s of a command."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "levid.cli.main", *map(str, arguments)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
+    command = [sys.executable, "-m", "levid.cli.main", *map(str, arguments)]
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, *command], stdout=subprocess.PIPE, check=True
     )
-    _, status, used = os.wait4(process.pid, 0)
-    text = process.stderr.read()
-    process.stderr.close()
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return process.returncode, text, used.ru_maxrss * 1024, used.ru_utime + used.ru_stime
+    return json.loads(done.stdout)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,97 @@
+"""`levid check --preflight`: what the daemon checks before a lift-off, as far as it shows here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from ..config.rig import RigConfig
+    from ..config.session import SessionConfig
+    from ..daemon.control.preflight_findings import Finding
+
+_WORDS = {"passed": "ok", "failed": "FAILED", "unknown": "unknown"}
+
+
+def preflight(rig_path: Path, sessions: Sequence[Path], out: Path | None) -> int:
+    """Print the checks of a rig and of sessions on it; return the exit code.
+
+    A daemon that flies the rig is asked for what only it knows.
+    """
+    from ..config.rig import load_rig
+    from ..config.session import load_session
+
+    rig = load_rig(rig_path)
+    findings = rig_findings(rig, rig_path)
+    _print(str(rig_path), findings)
+    for path in sessions:
+        found = session_findings(load_session(path), path, rig, out or Path())
+        _print(str(path), found)
+        findings += found
+    return 1 if any(f.failed for f in findings) else 0
+
+
+def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
+    """Return the checks that need no session, from the rig's daemon if one runs."""
+    from ..daemon.api.socket_paths import listens, socket_path
+    from ..daemon.client import Client
+    from ..daemon.control.loop_stability import loop_finding
+    from ..daemon.control.preflight_findings import Check, Finding, Outcome
+    from ..daemon.host.real_time_rights import real_time_rights
+    from ..drivers.base import Context
+    from ..drivers.open_backends import missing
+
+    socket = socket_path(rig)
+    if listens(socket):
+        with Client(socket) as client:
+            answer = client.request("status")
+        if answer["rig"] == rig.name:
+            return [
+                Finding(Check(f["check"]), Outcome(f["outcome"]), f["found"], f["remedy"])
+                for f in answer["preflight"]
+            ]
+    lacking = missing(Context(rig, 1 / rig.rate_hz, path.parent))
+    devices = Finding(Check.DEVICES, Outcome.UNKNOWN, "tested by the daemon: levid run")
+    if lacking:
+        devices = Finding.of(Check.DEVICES, False, "; ".join(lacking), "see there")
+    refused = real_time_rights(rig.realtime)
+    return [
+        devices,
+        Finding(Check.RECORDER, Outcome.UNKNOWN, "no daemon runs"),
+        Finding.of(
+            Check.REAL_TIME,
+            not refused,
+            "; ".join(refused) or "this user has the rights that RIG.yaml asks for",
+            "run levid as the service, or allow it (rtprio and memlock in "
+            "/etc/security/limits.conf)",
+        ),
+        Finding(Check.CPU, Outcome.UNKNOWN, "measured by the daemon at rest: levid run"),
+        loop_finding(rig, 1 / rig.rate_hz),
+    ]
+
+
+def session_findings(
+    session: SessionConfig, path: Path, rig: RigConfig, out: Path
+) -> list[Finding]:
+    """Return the predicted motion of a session, and the room that its logs need."""
+    from ..daemon.planning.log_folder import disk_finding
+    from ..daemon.planning.plan import plan_session
+    from ..daemon.planning.predicted_motion import motion_finding
+    from ..daemon.recording.log_size import most_log_bytes
+
+    plan = plan_session(session, rig, source=str(path))
+    existing = out.absolute()
+    while not existing.exists():
+        existing = existing.parent
+    return [motion_finding(rig, plan), disk_finding(existing, most_log_bytes(rig, plan.cycles))]
+
+
+def _print(name: str, findings: Sequence[Finding]) -> None:
+    click.echo(f"{name}:")
+    for f in findings:
+        click.echo(f"  {_WORDS[f.outcome]:8}{f.check:10} {f.found}")
+        if f.remedy:
+            click.echo(f"{'':20} {f.remedy}")

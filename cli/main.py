@@ -13,6 +13,10 @@ from .. import __version__
 # verb: module and attribute, summary for `levid --help` (shown without loading the module)
 _VERBS = {
     "check": ("check:command", "Check configuration and log files; no device is accessed."),
+    "commission": (
+        "commission:command",
+        "Find order, sign and scale of a rig's channels with small forces.",
+    ),
     "run": ("run:command", "Run the daemon on a rig in real time."),
     "electronics": (
         "electronics:command",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -23,7 +24,21 @@ from .buses import Bus, CanBus, RoleOptions, SerialBus
 from .daemon_settings import Realtime, Recording, SelfTest, Service
 from .model import ModelConfig, load_model
 
+
+def _not_near_zero(value: float) -> float:
+    if abs(value) < _LEAST_SCALE:
+        raise ValueError(f"expected a scale of at least {_LEAST_SCALE:g}, found {value:g}")
+    return value
+
+
+_LEAST_SCALE = 0.2
+"""A channel that is weaker is broken: its scale would multiply noise and commands."""
 Rate = Annotated[float, Field(ge=10.0, le=20_000.0)]
+Scale = Annotated[
+    float,
+    Field(ge=-5.0, le=5.0, allow_inf_nan=False),
+    AfterValidator(_not_near_zero),
+]
 _LEAST_PERIODS = 3
 _SMALL_ANGLE = 0.1
 """rad, where a sine is 0.2 % off: the platform's equations are linear in its angles."""
@@ -129,6 +144,15 @@ class Limits(Strict):
     coil_time_constant_s: Positive = 60.0
 
 
+class Channels(Strict):
+    """Scales of single channels against what they should be; `levid commission` finds them."""
+
+    sensor_scale: tuple[Scale, ...] = ()
+    """Reading over the true height of each sensor, negative for a wrong sign; default: 1."""
+    coil_scale: tuple[Scale, ...] = ()
+    """Force over the command of each coil, negative for a wrong polarity; default: 1."""
+
+
 class Role(BaseModel):
     """Backend of a role; the backend defines and validates all further keys."""
 
@@ -189,6 +213,7 @@ class RigConfig(Strict):
     feedforward: FeedForward | None = None
     """Feed-forward of a rig without `model`."""
     limits: Limits
+    channels: Channels = Channels()
     amplifiers: Role
     sensors: Role
     drives: Role
@@ -224,6 +249,18 @@ class RigConfig(Strict):
             raise ValueError(
                 f"expected either 'model' (path of a MODEL.yaml) or 'feedforward', found {found}"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _scale_of_each_channel(self) -> Self:
+        own = self.geometry
+        for key, count in (("sensor", len(own.sensors_x_m)), ("coil", len(own.coil_x_m))):
+            found = getattr(self.channels, f"{key}_scale")
+            if found and len(found) != count:
+                raise ValueError(
+                    f"channels.{key}_scale: expected {count} numbers, one for each {key}, found "
+                    f"{len(found)}"
+                )
         return self
 
     @model_validator(mode="after")

@@ -10,6 +10,7 @@ import numpy as np
 from ..config.base import ConfigError, load_yaml
 from ..config.sim import SimConfig
 from ..sim.plant import Plant
+from ..sim.simulated_hand import hand
 from .base import Array, Backend, CoilAmplifiers, Context, ManipulatorDrives, PositionSensors
 
 
@@ -37,7 +38,7 @@ class LoopbackBackend(Backend):
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:  # noqa: ARG002
         """Build the plant, at rest on its stops."""
         path, config = _sim_config(context)
-        self._plant = Plant(config, context.period_s, source=path)
+        self._sim, self._plant = config, Plant(config, context.period_s, source=path)
         self._cycle: int | None = None
         # A command is pending until the next cycle, then it acts for a period.
         self._pending = _Command(len(context.rig.geometry.coil_x_m), self._plant)
@@ -65,6 +66,10 @@ class LoopbackBackend(Backend):
     def drives(self) -> ManipulatorDrives:
         """Return the simulated drives."""
         return _Drives(self._plant, self._pending)
+
+    def lift(self, hold: str) -> None:
+        """Let a simulated hand hold the platform from now on: see simulated_hand."""
+        self._plant.push(hand(self._sim, hold))
 
     def close(self) -> None:
         """Command zero force."""

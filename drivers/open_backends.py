@@ -8,6 +8,7 @@ from ..config.backends import ENTRY_POINT_GROUP, ROLES, find_backend, load_part,
 from ..config.base import ConfigError
 from ..wire.bus_budget import Budget, check_budget
 from .base import Backend, Context, Devices
+from .channel_scales import scaled_amplifiers, scaled_sensors
 
 __all__ = [
     "ENTRY_POINT_GROUP",
@@ -59,8 +60,8 @@ def open_devices(context: Context) -> Devices:
             opened[name] = _backend_class(name, next(iter(roles)))(context, roles)
         rig = context.rig
         return Devices(
-            opened[rig.amplifiers.backend].amplifiers(),
-            opened[rig.sensors.backend].sensors(),
+            scaled_amplifiers(opened[rig.amplifiers.backend].amplifiers(), rig.channels),
+            scaled_sensors(opened[rig.sensors.backend].sensors(), rig.channels),
             opened[rig.drives.backend].drives(),
             tuple(opened.values()),
         )

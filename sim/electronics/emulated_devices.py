@@ -32,6 +32,7 @@ from ...wire.device_protocol import (
     response,
 )
 from ..plant import Plant
+from ..simulated_hand import hand
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,7 @@ class Injected:
     lost_axes: set[int] = field(default_factory=set)
     skew_m: float = 0.0
     push_n: float = 0.0
+    hold: str = "rest"
     tripping: set[int] = field(default_factory=set)
 
 
@@ -75,7 +77,7 @@ class Core:
         self.limits = expected_parameters(rig, expire_cycles)
         self.lock = threading.RLock()
         self.injected = Injected()
-        self._plant = Plant(sim, self.period_s, source=source)
+        self._sim, self._plant = sim, Plant(sim, self.period_s, source=source)
         self._range_m = sim.sensors.range_m
         self._limit_n, self._step_n = rig.limits.coil_n, rig.limits.coil_rate_n_s * self.period_s
         self._expire = expire_cycles
@@ -220,7 +222,9 @@ class Core:
         with self.lock:
             self._expire_setpoints()
             plant, acting = self._plant, self._acting_n
-            plant.push(np.array([0.0, 0.0, self.injected.push_n]))
+            pushed = hand(self._sim, self.injected.hold)
+            pushed[2] += self.injected.push_n
+            plant.push(pushed)
             plant.advance(acting, self._motion[0], self._motion[1])
             self.forced_periods += bool(acting.any())
             self._missed += 1

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+from ..simulated_hand import HOLDS
 from .emulated_devices import Core
 
 AXES = ("x1", "x2", "phi")
@@ -43,6 +44,7 @@ FAULTS: dict[str, FaultKind] = {
     "encoder": FaultKind("the encoder of a drive is lost", "axis"),
     "skew": FaultKind("X1 and X2 differ by a distance", "metres"),
     "push": FaultKind("an external force pushes the platform up", "newtons"),
+    "lift": FaultKind("a hand lifts the platform to its upper stops: all, x, y, or rest", "hold"),
 }
 
 
@@ -87,6 +89,10 @@ class Injector:
                     injected.lost_axes.add(AXES.index(arguments[0]))
                 case "metres":
                     injected.skew_m = _number(name, arguments[0])
+                case "hold":
+                    if arguments[0] not in HOLDS:
+                        raise InjectionError(f"{name}: expected one of {', '.join(HOLDS)}")
+                    injected.hold = arguments[0]
                 case "newtons":
                     injected.push_n = _number(name, arguments[0])
                 case _:
@@ -104,6 +110,7 @@ class Injector:
             ):  # fmt: skip
                 channels.clear()
             injected.skew_m = injected.push_n = 0.0
+            injected.hold = "rest"
 
     @property
     def receives(self) -> bool:

@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from levid.sim.effects import BeamState
 from levid.sim.effects.air import QuadraticDamping, SqueezeFilm
 from levid.sim.effects.beam import BeamCoriolis, BeamGravity, BeamReaction, MagnetField
-from levid.sim.effects.bearing import BearingPresliding
+from levid.sim.effects.bearing import BearingPlay, BearingPresliding
 from levid.sim.effects.cable import BeamCable, HangingCable
 from levid.sim.effects.friction import BoucWen, Coulomb, Dahl, LuGre, MaxwellSlip, Stribeck
 from levid.sim.effects.ground_vibration import GroundNoise, GroundTone
@@ -309,6 +309,32 @@ def test_tilted_beam_sinks_into_its_bearing(axis: Any, row: int) -> None:
     # Of eight springs that yield up to 2 mm none has within 1.4 um; Dynamics have died out.
     assert tau[row] == pytest.approx((m * G) ** 2 * tilt / k, rel=0.01)
     assert not np.delete(tau, row).any()
+
+
+@pytest.mark.parametrize(("axis", "row"), [("x", 1), ("y", 0)])
+def test_tilted_beam_falls_through_the_play_of_its_bearing(axis: Any, row: int) -> None:
+    """At rest it lies on one contact: delta = -(play / 2 + m g tilt / k)."""
+    k, m, tilt, play = 2e4, 1.4, 2e-3, 3e-6
+    tau = at_rest_tilted(fresh(BearingPlay(axis, m, play, k, damping_n_s_m=150)), tilt)
+    assert tau[row] == pytest.approx(m * G * (0.5 * play + m * G * tilt / k), rel=1e-3)
+    assert not np.delete(tau, row).any()
+
+
+def test_bearing_with_play_does_not_pull_at_the_beam() -> None:
+    """A tilt that turns faster than the beam crosses the play leaves it without a force."""
+    m, z = 1.4, Z_B
+    effect = fresh(BearingPlay("x", m, play_m=1e-3, stiffness_n_m=1e6, damping_n_s_m=500))
+    t = np.arange(1000) * DT
+    omega = 2 * np.pi * 40.0
+    theta, rate = 1e-4 * np.sin(omega * t), 1e-4 * omega * np.cos(omega * t)
+    pairs = zip(theta, rate, strict=True)
+    tau = np.array([effect.wrench(0.0, np.array([0, a, 0]), np.array([0, b, 0]), STILL)[1]
+                    for a, b in pairs])  # fmt: skip
+    # R = 0. Its weight's torque -m g delta replaces that of a rigid beam, m g z theta. In space it
+    # moves by Y = delta - z theta, -g theta integrated twice.
+    Y = -z * 1e-4 * omega * t + G * 1e-4 / omega**2 * (np.sin(omega * t) - omega * t)
+    expected = -m * G * (Y + 2 * z * theta)
+    np.testing.assert_allclose(tau, expected, atol=0.01 * np.abs(tau).max())
 
 
 def test_stiff_bearing_leaves_the_plant_as_it_was() -> None:

@@ -1,0 +1,193 @@
+"""`levid commission`: guided, force-limited first contact with the hardware of a rig."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .output_folder_check import quoted
+from .progress import progress, say
+
+if TYPE_CHECKING:
+    from ..config.rig import RigConfig
+    from ..daemon.commissioning.commission import Ask, Commissioned
+    from ..daemon.commissioning.device_session import DeviceSession
+
+_COILS_A_WEIGHT = 14.0
+"""Weight over the force of one coil: a corner is lifted only by half of the weight."""
+
+
+@click.command("commission")
+@click.argument("rig", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Path of the corrected RIG.yaml, a new file.",
+)
+@click.option(
+    "--stroke-mm",
+    type=click.FloatRange(0.1, 20.0),
+    default=1.8,
+    help="Way of the platform between its lower and upper stops. Default: 1.8.",
+)
+@click.option(
+    "--stops-mm",
+    type=click.FloatRange(1.0, 1000.0),
+    nargs=2,
+    help="Half the distance of the stops along x and along y. Default: at the outermost coils.",
+)
+@click.option(
+    "--force-n",
+    type=click.FloatRange(0.01, 100.0),
+    help="Force of one coil at a time. Default: a fourteenth of the platform's weight.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
+def command(
+    rig: Path,
+    out: Path,
+    stroke_mm: float,
+    stops_mm: tuple[float, float] | None,
+    force_n: float | None,
+    as_json: bool,
+) -> int:
+    """Find order, sign and scale of the channels of RIG.yaml, and write a corrected copy.
+
+    The daemon must not run. The platform rests on its lower stops. You lift it by hand as a whole
+    and at two sides, as the command asks; then each coil alone pushes with a small force, which
+    cannot lift. Dead, swapped, reversed and weak channels are named. Nothing flies.
+
+    On the simulator a simulated hand lifts; on `levid electronics` type the command that is asked
+    for into it.
+
+    \b
+    Examples:
+      levid commission my-rig.yaml --out my-rig-commissioned.yaml
+      levid commission my-rig.yaml --out new.yaml --stroke-mm 2.0 --stops-mm 110 110
+    """
+    from ..config.rig import load_rig
+    from ..daemon.api.socket_paths import listens, own_socket
+    from ..daemon.commissioning.commission import CommissionError, Stops, commission
+    from ..daemon.commissioning.corrections import (
+        corrected_text,
+        corrections,
+        problems,
+        write_corrected,
+    )
+    from ..daemon.commissioning.device_session import DeviceSession
+    from ..drivers.base import Context
+
+    config = load_rig(rig)
+    if listens(own_socket(config)):
+        raise CommissionError("a daemon is running on this rig: end it first (levid run, Ctrl-C)")
+    if out.exists():
+        raise CommissionError(f"{out}: exists; a rig is never written over")
+    weight_n = _weight_n(config)
+    push_n = min(force_n or weight_n / _COILS_A_WEIGHT, config.limits.coil_n)
+    if push_n > 0.25 * weight_n:
+        raise CommissionError(
+            f"--force-n: expected at most a quarter of the weight, {0.25 * weight_n:.3g} N: more "
+            f"could lift a corner; found {push_n:g} N"
+        )
+    geometry = config.geometry
+    half = (
+        (1e-3 * stops_mm[0], 1e-3 * stops_mm[1])
+        if stops_mm
+        else (max(map(abs, geometry.coil_x_m)), max(map(abs, geometry.coil_y_m)))
+    )
+    stops = Stops(half, 1e-3 * stroke_mm)
+    context = Context(config, 1.0 / config.rate_hz, rig.parent)
+    say(
+        f"commissioning {config.name}: coils push with {push_n:.3g} N at most, one at a time; the "
+        f"platform weighs {weight_n:.3g} N"
+    )
+    with DeviceSession(context, push_n, push_n) as session, progress("commissioning") as report:
+        found = commission(session, config, stops, push_n, _asker(session), report)
+    wrong, corrected = problems(found), corrections(found, config)
+    written = None
+    if not wrong:
+        write_corrected(out, corrected_text(rig.read_text(encoding="utf-8"), found, config))
+        load_rig(out)
+        written = out
+    if as_json:
+        click.echo(json.dumps(_as_json(found, wrong, corrected, written)))
+    else:
+        _print(found, wrong, corrected, written)
+    return 1 if wrong else 0
+
+
+def _weight_n(rig: RigConfig) -> float:
+    """Return the platform's weight in N as the feed-forward carries it at the working point."""
+    import numpy as np
+
+    from ..daemon.control.feed_forward import feed_forward
+
+    law = feed_forward(rig, 1.0 / rig.rate_hz)
+    return float(abs(law.wrench(np.zeros((1, 3)))[0, 2]))
+
+
+def _asker(session: DeviceSession) -> Ask:
+    from ..daemon.commissioning.commission import PROMPTS, Hold
+    from ..drivers.loopback import LoopbackBackend
+
+    def ask(hold: Hold) -> None:
+        (backend, *_) = session.devices.backends
+        if isinstance(backend, LoopbackBackend):
+            backend.lift(hold)
+            return
+        say(PROMPTS[hold])
+        if session.emulated:
+            say(f"  (emulated electronics: type `lift {hold}` into `levid electronics`)")
+
+    return ask
+
+
+def _print(
+    found: Commissioned, wrong: list[str], corrected: list[str], written: Path | None
+) -> None:
+    at_rest = found.resting
+    sd = 1e6 * at_rest.sd_m
+    click.echo(
+        f"noise of the sensors at rest: {sd[sd > 0].min(initial=1e9):.3g} to {sd.max():.3g} um"
+    )
+    if at_rest.mains_m.any():
+        click.echo(
+            f"mains pick-up at {at_rest.mains_hz:g} Hz: up to {1e6 * at_rest.mains_m.max():.3g} um"
+        )
+    if found.delay_cycles >= 0:
+        click.echo(f"the amplifiers report a force {found.delay_cycles} cycles after its command")
+    click.echo(f"largest force of a coil: {found.largest_n:.3g} N")
+    for line in corrected:
+        click.echo(f"corrected: {line}" if written else f"found: {line}")
+    if not corrected and not wrong:
+        click.echo("all channels are as RIG.yaml says")
+    for line in wrong:
+        click.echo(f"problem: {line}")
+    if written is None:
+        say("No RIG.yaml was written: repair these channels, and commission again.")
+        return
+    click.echo(f"{written}: written")
+    say(f"next: levid check {quoted(written)}, levid run {quoted(written)}, levid levitate")
+
+
+def _as_json(
+    found: Commissioned, wrong: list[str], corrected: list[str], written: Path | None
+) -> dict[str, object]:
+    return {
+        "problems": wrong,
+        "corrections": corrected,
+        "written": None if written is None else str(written),
+        "sensors": {
+            "place": found.sensors.place.tolist(),
+            "scale": found.sensors.scale.tolist(),
+            "noise_m": found.resting.sd_m.tolist(),
+            "mains_m": found.resting.mains_m.tolist(),
+        },
+        "coils": {"place": found.coils.place.tolist(), "gain": found.coils.gain.tolist()},
+        "readback": found.readback.tolist(),
+        "delay_cycles": found.delay_cycles,
+        "largest_n": found.largest_n,
+    }

@@ -1,0 +1,171 @@
+"""Run cycles on the devices of a rig, without control, with forces too small to lift."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...drivers.base import (
+    AmplifierError,
+    Array,
+    Context,
+    Devices,
+    DriverError,
+    SensorError,
+    StaleError,
+)
+from ...drivers.open_backends import emulated, open_devices
+from ..host.real_time_scheduling import apply_realtime
+
+_ATTEMPTS = 10
+_ENABLING_S, _FIRST_S = 0.2, 1.0
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings of n cycles: gap_m (n, S), coil_n (n, C) as measured, commanded_n (n, C)."""
+
+    gap_m: Array
+    coil_n: Array
+    commanded_n: Array
+
+
+class DeviceSession:
+    """Open devices as a context manager; every command is limited, and zero at the end.
+
+    most_n: largest force of a coil. most_total_n: largest sum of the absolute forces of all coils.
+    clock: waits until a time in s; the default sleeps, and does not where all is simulated here.
+    """
+
+    def __init__(self, context: Context, most_n: float, most_total_n: float) -> None:
+        self._context, self._most_n, self._most_total_n = context, most_n, most_total_n
+        rig = context.rig
+        self._coils = len(rig.geometry.coil_x_m)
+        self._sensors = len(rig.geometry.sensors_x_m)
+        self._gap_m, self._coil_n = np.zeros(self._sensors), np.zeros(self._coils)
+        self._cycle = 0
+        self._begin_s = 0.0
+        self.largest_n = 0.0
+        """Largest force of a coil that was commanded so far."""
+        self.said: list[str] = []
+        """What the drivers found wrong with sensors."""
+        loopback = {getattr(rig, role).backend for role in ("amplifiers", "sensors", "drives")}
+        self._waits = loopback != {"loopback"}
+        self.emulated = emulated(context)
+
+    def __enter__(self) -> Self:
+        """Open the devices; raises DriverError or ConfigError."""
+        if self._waits:
+            for warning in apply_realtime(self._context.rig.realtime):
+                self.said.append(warning)
+        self._devices: Devices = open_devices(self._context)
+        self._begin_s = time.monotonic()
+        try:
+            self.run(round(_FIRST_S / self._context.period_s))  # until all devices answer
+        except BaseException:
+            self._devices.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Command zero force and close the devices."""
+        try:
+            self._devices.amplifiers.release(np.zeros(self._coils))
+        finally:
+            self._devices.close()
+
+    @property
+    def devices(self) -> Devices:
+        """The open devices."""
+        return self._devices
+
+    def run(
+        self,
+        cycles: int,
+        force: Callable[[int], Array] | None = None,
+        ended: Callable[[Readings], bool] | None = None,
+        every: int = 100,
+    ) -> Readings:
+        """Run cycles and return their readings.
+
+        force: commands (C,) in N of the k-th cycle, zero if it is None. ended: asked every `every`
+        cycles with the readings so far, ends the run early. If a cycle came so late that setpoints
+        expired or readings were missing, the devices are recovered and the run begins anew.
+
+        Raises:
+            DriverError: a device failed, or a command exceeds the limits.
+        """
+        for _ in range(_ATTEMPTS):
+            try:
+                return self._run(cycles, force, ended, every)
+            except (AmplifierError, StaleError) as error:
+                failed = error
+                self._devices.recover()
+                with contextlib.suppress(AmplifierError, StaleError):
+                    # Amplifiers are enabled while no force is commanded.
+                    self._run(round(_ENABLING_S / self._context.period_s), None, None, 1)
+        raise failed
+
+    def _run(
+        self,
+        cycles: int,
+        force: Callable[[int], Array] | None,
+        ended: Callable[[Readings], bool] | None,
+        every: int,
+    ) -> Readings:
+        gap, coil = np.zeros((cycles, self._sensors)), np.zeros((cycles, self._coils))
+        commanded, zero = np.zeros((cycles, self._coils)), np.zeros(self._coils)
+        devices = self._devices
+        for k in range(cycles):
+            self._wait()
+            devices.sync(self._cycle)
+            try:
+                devices.sensors.read(self._gap_m)  # a missing reading leaves the last one
+            except SensorError as error:  # the reading is there; what is wrong is found later
+                self.said.append(str(error))
+            devices.amplifiers.read(self._coil_n)
+            gap[k], coil[k] = self._gap_m, self._coil_n
+            command = zero if force is None else self._checked(force(k))
+            commanded[k] = command
+            devices.amplifiers.write(command)
+            if ended is not None and (k + 1) % every == 0:
+                so_far = Readings(gap[: k + 1], coil[: k + 1], commanded[: k + 1])
+                if ended(so_far):
+                    return so_far
+        devices.amplifiers.write(zero)
+        return Readings(gap, coil, commanded)
+
+    def _checked(self, force_n: NDArray[np.float64]) -> Array:
+        size = np.abs(force_n)
+        if not (size.max() <= self._most_n and size.sum() <= self._most_total_n):
+            raise DriverError(
+                f"commissioning: expected at most {self._most_n:g} N a coil and "
+                f"{self._most_total_n:g} N in all, found {size.max():g} N and {size.sum():g} N"
+            )
+        self.largest_n = max(self.largest_n, float(size.max()))
+        return force_n
+
+    def _wait(self) -> None:
+        """Wait for the next period; periods that were missed are skipped."""
+        period_s = self._context.period_s
+        self._cycle += 1
+        if not self._waits:
+            return
+        due_s = self._begin_s + self._cycle * period_s
+        late_s = time.monotonic() - due_s
+        if late_s < 0.0:
+            time.sleep(-late_s)
+        elif late_s > period_s:
+            self._cycle += int(late_s / period_s)

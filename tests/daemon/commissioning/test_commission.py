@@ -1,0 +1,142 @@
+"""Test commissioning on the simulator: wrong rigs are corrected and fly, forces stay small."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from levid.benchmarks.daemon.commissioned_rigs import (
+    CHANNELS,
+    FORCE_N,
+    STOPS,
+    Wiring,
+    commissioned,
+    drawn,
+    mistakes,
+    rig_file,
+)
+from levid.config.base import parse_text
+from levid.config.rig import load_rig
+from levid.config.session import SessionConfig
+from levid.config.shipped import shipped
+from levid.daemon.commissioning import commission as commission_module
+from levid.daemon.commissioning.commission import CommissionError, commission
+from levid.daemon.commissioning.corrections import corrected_text, corrections, problems
+from levid.daemon.commissioning.device_session import DeviceSession
+from levid.daemon.control.faults import FlightFault
+from levid.daemon.loop.virtual_session import fly_virtually
+from levid.drivers.base import Context, DriverError
+
+SWAPPED = Wiring(
+    coil_order=(1, 0, 2, 3, 4, 5, 6, 8, 7),
+    coil_scale=(1.0, 1.0, -1.0, 1.0, 1.2, 1.0, 1.0, 1.0, 1.0),
+    sensor_order=(0, 1, 2, 5, 4, 3, 6, 7, 8),
+    sensor_scale=(1.0, 1.0, 1.0, 1.2, 1.0, 1.0, -1.0, 1.0, 0.8),
+)
+SESSION = """
+levid: session
+name: hover
+steps:
+  - levitate: {unload_s: 0.2, ramp_s: 0.5, settle_s: 0.5}
+  - land: {ramp_s: 0.4, release_s: 0.2}
+"""
+
+
+def shipped_text() -> str:
+    """Return the shipped rig, on the simulator beside it."""
+    text = shipped("rigs/loopback.yaml").read_text()
+    text = text.replace("../models/rig.yaml", str(shipped("models/rig.yaml")))
+    return text.replace("../sims/nominal.yaml", "sim.yaml")
+
+
+@pytest.mark.parametrize("seed", range(3, 8))  # one of six is right
+def test_all_that_is_wrong_is_found_and_nothing_else(tmp_path: Path, seed: int) -> None:
+    wiring = drawn(seed)
+    rig, found = commissioned(tmp_path, "loopback", wiring, seed)
+    assert not mistakes(found, wiring, rig)
+    assert found.delay_cycles == 2
+    assert found.readback.tolist() == list(range(CHANNELS))
+    assert 0.0 < found.largest_n <= FORCE_N
+
+
+def test_corrected_rig_flies_where_the_wrong_one_does_not(tmp_path: Path) -> None:
+    path = rig_file(tmp_path, "loopback", SWAPPED, 2)
+    session = parse_text(SESSION, SessionConfig, "session")
+
+    def fly(rig_path: Path, out: str) -> None:
+        rig = load_rig(rig_path)
+        fly_virtually(rig, rig_path, session, SESSION.encode(), tmp_path / out, lambda *_: None)
+
+    with pytest.raises(FlightFault):
+        fly(path, "wrong")
+    rig, found = commissioned(tmp_path, "loopback", SWAPPED, 2)
+    assert not problems(found)
+    # The benchmark's rig has no lists in brackets: take the shipped text.
+    corrected = tmp_path / "corrected.yaml"
+    corrected.write_text(corrected_text(shipped_text(), found, rig))
+    assert "# 3 x 3 grid" in corrected.read_text()
+    fly(corrected, "right")
+    said = " ".join(corrections(found, rig))
+    for words in (
+        "sensor channel 3 is at the place of 5",
+        "coil channel 8 is at the place of 7",
+        "sensor channel 6 reads with the wrong sign",
+        "coil channel 4 pushes 1.2",
+    ):
+        assert words in said
+
+
+def test_no_command_exceeds_the_limit(tmp_path: Path) -> None:
+    rig = load_rig(rig_file(tmp_path, "loopback", Wiring(), 1))
+    with DeviceSession(Context(rig, 1e-3, tmp_path), 3.0, 4.0) as session:
+        for force in (3.1 * np.eye(9)[0], 0.5 * np.ones(9), np.full(9, np.nan)):
+            with pytest.raises(DriverError, match="expected at most 3 N a coil and 4 N in all"):
+                session.run(10, lambda _, f=force: f)
+        assert session.largest_n == 0.0
+        session.run(10, lambda _: 3.0 * np.eye(9)[4])
+        found = session.run(20)
+    assert np.abs(found.coil_n[5:]).max() < 0.1  # zero again
+
+
+def test_platform_that_nobody_lifts_ends_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commission_module, "_HAND_S", 1.0)
+    rig = load_rig(rig_file(tmp_path, "loopback", Wiring(), 1))
+    with (
+        DeviceSession(Context(rig, 1e-3, tmp_path), FORCE_N, FORCE_N) as session,
+        pytest.raises(CommissionError, match=r"Lift the whole platform.*no sensor moved"),
+    ):
+        commission(session, rig, STOPS, FORCE_N, lambda _: None, lambda *_: None)
+
+
+def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
+    rig_file(tmp_path, "loopback", SWAPPED, 3)
+    rig = tmp_path / "mine.yaml"
+    rig.write_text(shipped_text())
+    new = tmp_path / "new.yaml"
+    outcome = levid("commission", rig, "--out", new, "--json")
+    assert outcome.code == 0
+    found = json.loads(outcome.out)
+    assert found["problems"] == []
+    assert len(found["corrections"]) == 11
+    assert found["written"] == str(new)
+    assert levid("check", new).code == 0
+    again = levid("commission", new, "--out", tmp_path / "again.yaml")
+    assert "all channels are as RIG.yaml says" in again.out
+    assert "exists" in levid("commission", rig, "--out", new).err
+    assert "a quarter of the weight" in levid(
+        "commission", rig, "--out", tmp_path / "x.yaml", "--force-n", 30
+    ).err  # fmt: skip
+
+
+def test_dead_channel_is_a_problem_and_no_rig_is_written(levid, tmp_path: Path) -> None:
+    path = rig_file(tmp_path, "loopback", Wiring(dead_coil=5, stuck_sensor=2), 4)
+    outcome = levid("commission", path, "--out", tmp_path / "new.yaml")
+    assert outcome.code == 1
+    assert "problem: coil 5 does not move the platform" in outcome.out
+    assert "problem: sensor 2 does not follow the platform" in outcome.out
+    assert not (tmp_path / "new.yaml").exists()

@@ -26,7 +26,7 @@ _COILS_A_WEIGHT = 14.0
     "--out",
     required=True,
     type=click.Path(path_type=Path),
-    help="Path of the corrected RIG.yaml, a new file.",
+    help="Path of the corrected RIG.yaml, a new file; a page is written beside it.",
 )
 @click.option(
     "--stroke-mm",
@@ -79,6 +79,7 @@ def command(
     )
     from ..daemon.commissioning.device_session import DeviceSession
     from ..drivers.base import Context
+    from ..report.commissioning.commissioning_page import commissioning_report
 
     config = load_rig(rig)
     if listens(own_socket(config)):
@@ -112,10 +113,13 @@ def command(
         write_corrected(out, corrected_text(rig.read_text(encoding="utf-8"), found, config))
         load_rig(out)
         written = out
+    page = commissioning_report(found, config, written, out.with_suffix(""))
     if as_json:
-        click.echo(json.dumps(_as_json(found, wrong, corrected, written)))
+        summary = {**_as_json(found, wrong, corrected, written), "report": str(page)}
+        click.echo(json.dumps(summary))
     else:
         _print(found, wrong, corrected, written)
+        click.echo(f"report: {page}")
     return 1 if wrong else 0
 
 

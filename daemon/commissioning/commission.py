@@ -25,9 +25,6 @@ _MOVED_SHARE, _STILL_SHARE = 0.1, 0.01
 """Changes over the stroke: from one held pose to the next, and within one."""
 _HAND_S = 180.0
 _SD_OF_MAD = 1.4826
-_EDGE_SHARE, _LEAST_ROWS = 0.02, 8
-"""Of a sensor that reaches the ends of its range: the part of it at each end that does not count,
-and how many rows the rest must have for three slopes and a mean."""
 _PULSE_S, _SETTLED_SHARE, _PULSES = 0.1, 0.5, 10
 """A coil pushes up for half of a pulse and down for the other; of each, the last half counts."""
 
@@ -158,18 +155,10 @@ def _sensors(rig: RigConfig, held: Sequence[Held], moved_m: Array, stops: Stops)
     inside = sensor_order(Followed(scale, found.x_m, found.y_m), x_m, y_m)
     pose = moved_m @ _decoupling(rig, inside, np.full(len(scale), True)).T
     x, y = found.x_m.copy(), found.y_m.copy()
+    free = np.setdiff1d(np.arange(len(scale)), inside.place)
     for i in np.flatnonzero(ends):
-        within = _within(moved_m[:, i])
-        if within.sum() > _LEAST_ROWS:
-            scale[i], x[i], y[i] = on_the_way(moved_m[within, i], pose[within], stops.stroke_m)
+        scale[i], x[i], y[i] = on_the_way(moved_m[:, i], pose, x_m[free], y_m[free], stops.stroke_m)
     return sensor_order(Followed(scale, x, y), x_m, y_m)
-
-
-def _within(reading_m: Array) -> NDArray[np.bool_]:
-    """Return the rows (n,) in which a sensor is not at an end of its range."""
-    low, high = reading_m.min(), reading_m.max()
-    edge = _EDGE_SHARE * (high - low)
-    return np.asarray((reading_m > low + edge) & (reading_m < high - edge))
 
 
 def _held(

@@ -132,10 +132,10 @@ def _scaled(
     for channel, (scale, value) in enumerate(zip(used, raw, strict=True)):
         if scale == 1.0 or value == 0.0:
             continue
-        sign = "with the wrong sign, " if scale < 0.0 else ""
-        size = f"{abs(value):.3g} times as much as it should"
+        parts = ["with the wrong sign"] if scale < 0.0 else []
+        parts += [f"{abs(value):.3g} times as much as it should"] if abs(scale) != 1.0 else []
         kept = f" (RIG.yaml has a scale of {before[channel]:g})" if before[channel] != 1.0 else ""
-        yield f"{what} channel {channel} {does} {sign}{size}{kept}"
+        yield f"{what} channel {channel} {does} {', '.join(parts)}{kept}"
 
 
 def _rounded(scale: NDArray[np.float64], off: float) -> list[float]:

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 
 _LEAST_SHARE = 0.1
 """Share of the stroke that a sensor must show to count as alive."""
+_EDGE_SHARE, _LEAST_ROWS = 0.02, 3
+"""Part of a sensor's range at each end that does not count as inside, and fewest rows there: its
+scale and its zero are found from them."""
 _FAR_SHARE = 0.25
 """Distance between a found and its place, over that of neighbouring places, from which it is in
 doubt: at a half, two places are equally near."""
@@ -68,18 +71,31 @@ def at_the_stops(
     )
 
 
-def on_the_way(reading_m: Array, pose: Array, stroke_m: float) -> tuple[float, float, float]:
-    """Return scale and place (x, y) of a sensor from its readings (n,) while the platform moved.
+def on_the_way(
+    reading_m: Array, pose: Array, x_m: Array, y_m: Array, stroke_m: float
+) -> tuple[float, float, float]:
+    """Return scale and place (x, y) of a sensor whose range ends before the stops.
 
-    For a sensor whose range ends before the stops. pose (n, 3): psi, theta, z of the platform, from
-    other sensors. A sensor that does not follow has scale 0.
+    reading_m (n,): its readings at rest, held and in between. pose (n, 3): psi, theta, z of the
+    platform, from other sensors. Of the places (S,) it is the one at which readings of the height,
+    cut off where the sensor's are, agree best: a height that is never reached inside the range at
+    one place tells it from another. A sensor that does not follow has scale 0.
     """
-    columns = np.column_stack([pose, np.ones(len(pose))])
-    size = np.maximum(np.abs(columns).max(axis=0), 1e-300)
-    by_psi, by_theta, by_z, _ = np.linalg.lstsq(columns / size, reading_m, rcond=None)[0] / size
-    if abs(by_z) < _LEAST_SHARE or np.ptp(reading_m) < _LEAST_SHARE * stroke_m:
+    low, high = float(reading_m.min()), float(reading_m.max())
+    edge = _EDGE_SHARE * (high - low)
+    inside = (reading_m > low + edge) & (reading_m < high - edge)
+    if high - low < _LEAST_SHARE * stroke_m or inside.sum() < _LEAST_ROWS:
         return 0.0, 0.0, 0.0
-    return float(by_z), float(by_theta / by_z), float(by_psi / by_z)
+    best, best_left = (0.0, 0.0, 0.0), np.inf
+    for x, y in zip(x_m.tolist(), y_m.tolist(), strict=True):
+        height = pose @ np.array([y, x, 1.0])
+        columns = np.column_stack([height[inside], np.full(inside.sum(), stroke_m)])
+        scale, offset = np.linalg.lstsq(columns, reading_m[inside], rcond=None)[0]
+        cut = np.clip(scale * height + offset * stroke_m, low, high)
+        left = float(np.sum((cut - reading_m) ** 2))
+        if left < best_left and abs(scale) > _LEAST_SHARE:
+            best, best_left = (float(scale), x, y), left
+    return best
 
 
 def sensor_order(found: Followed, x_m: Array, y_m: Array) -> SensorOrder:

@@ -124,6 +124,9 @@ def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
     assert found["problems"] == []
     assert len(found["corrections"]) == 11
     assert found["written"] == str(new)
+    page = Path(found["report"]).read_text()
+    assert "This rig can fly after 11 corrections." in page
+    assert "coil channel 8 is at the place of 7 in RIG.yaml" in page
     assert levid("check", new).code == 0
     again = levid("commission", new, "--out", tmp_path / "again.yaml")
     assert "all channels are as RIG.yaml says" in again.out
@@ -139,4 +142,6 @@ def test_dead_channel_is_a_problem_and_no_rig_is_written(levid, tmp_path: Path) 
     assert outcome.code == 1
     assert "problem: coil 5 does not move the platform" in outcome.out
     assert "problem: sensor 2 does not follow the platform" in outcome.out
+    page = (tmp_path / "new" / "index.html").read_text()
+    assert "2 channels must be repaired before this rig can fly." in page
     assert not (tmp_path / "new.yaml").exists()

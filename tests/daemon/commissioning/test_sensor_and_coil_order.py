@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -50,12 +52,23 @@ def test_dead_sensor_has_no_place_and_one_between_two_is_in_doubt() -> None:
 
 
 def test_sensor_whose_range_ends_is_found_on_the_way() -> None:
-    t = np.linspace(0.0, 1.0, 40)
-    pose = np.column_stack([2e-3 * t**2, -3e-3 * np.sin(5.0 * t), STROKE * t])
-    reading = -1.2 * (pose @ SHAPE[2]) + 4e-5
-    scale, x, y = on_the_way(reading, pose, STROKE)
-    assert (scale, x, y) == pytest.approx((-1.2, X[2], Y[2]), rel=1e-6)
-    assert on_the_way(0.0 * reading + 1e-6, pose, STROKE)[0] == 0.0
+    """Also if it is inside its range on two ways only, during neither of which theta changes."""
+    way, stay = np.linspace(0.0, 1.0, 8), np.ones(20)
+    whole, turned = np.array([0, 0, STROKE / 2]), 0.5 * STROKE / A
+    rest, x_side, y_side = -whole, np.array([0, turned, 0]), np.array([turned, 0, 0])
+    holds = (rest, whole, x_side, y_side, rest)
+    pose = np.concatenate(
+        [
+            np.concatenate([np.outer(stay, one), one + np.outer(way, other - one)])
+            for one, other in itertools.pairwise(holds)
+        ]
+    )
+    for place in (0, 2, 6, 8):
+        for scale in (-1.2, 1.2):
+            reading = np.clip(scale * (pose @ SHAPE[place]) + 4e-5, -1e-3, 1e-3)
+            found = on_the_way(reading, pose, X, Y, STROKE)
+            assert found == pytest.approx((scale, X[place], Y[place]), rel=1e-6)
+    assert on_the_way(0.0 * reading + 1e-6, pose, X, Y, STROKE)[0] == 0.0
 
 
 @pytest.mark.parametrize("dead", [None, 0, 4])

@@ -1,0 +1,1 @@
+"""Page of a commissioning: what was found of every channel."""

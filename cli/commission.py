@@ -45,6 +45,12 @@ _COILS_A_WEIGHT = 14.0
     type=click.FloatRange(0.01, 100.0),
     help="Force of one coil at a time. Default: a fourteenth of the platform's weight.",
 )
+@click.option(
+    "--beam-mm",
+    type=click.FloatRange(0.0, 500.0),
+    default=20.0,
+    help="How far the beam moves, gently, to find its direction; 0: not at all. Default: 20.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
 def command(
     rig: Path,
@@ -52,6 +58,7 @@ def command(
     stroke_mm: float,
     stops_mm: tuple[float, float] | None,
     force_n: float | None,
+    beam_mm: float,
     as_json: bool,
 ) -> int:
     """Find order, sign and scale of the channels of RIG.yaml, and write a corrected copy.
@@ -106,7 +113,7 @@ def command(
         f"platform weighs {weight_n:.3g} N"
     )
     with DeviceSession(context, push_n, push_n) as session, progress("commissioning") as report:
-        found = commission(session, config, stops, push_n, _asker(session), report)
+        found = commission(session, config, stops, push_n, _asker(session), report, 1e-3 * beam_mm)
     wrong, corrected = problems(found), corrections(found, config)
     written = None
     if not wrong:
@@ -164,6 +171,9 @@ def _print(
     if found.delay_cycles >= 0:
         click.echo(f"the amplifiers report a force {found.delay_cycles} cycles after its command")
     click.echo(f"largest force of a coil: {found.largest_n:.3g} N")
+    if found.beam is not None:
+        sure = f"{found.beam.ratio:.2f} +- {2 * found.beam.sd:.2f}"
+        click.echo(f"tilt by the beam's weight over what the model and the coils say: {sure}")
     for line in corrected:
         click.echo(f"corrected: {line}" if written else f"found: {line}")
     if not corrected and not wrong:
@@ -193,5 +203,6 @@ def _as_json(
         "coils": {"place": found.coils.place.tolist(), "gain": found.coils.gain.tolist()},
         "readback": found.readback.tolist(),
         "delay_cycles": found.delay_cycles,
+        "beam": None if found.beam is None else {"ratio": found.beam.ratio, "sd": found.beam.sd},
         "largest_n": found.largest_n,
     }

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...model.geometry import shape_matrix
+from ..control.feed_forward import feed_forward
+from .beam_direction import BeamDirection, beam_direction, tilt_compliance
 from .coil_order import CoilOrder, coil_order
 from .device_session import DeviceSession, Readings
 from .resting_readings import Resting, clipped, resting
@@ -24,6 +26,9 @@ _LOOK_S, _STILL_WINDOWS = 0.1, 5
 _MOVED_SHARE, _STILL_SHARE = 0.1, 0.01
 """Changes over the stroke: from one held pose to the next, and within one."""
 _HAND_S = 180.0
+_BEAM_LOOK_S, _BEAM_MOVES = 0.5, 3
+_ACTED_SHARE = 0.97
+"""Of the largest change of the measured force: one of 25 settled cycles without force is less."""
 _SD_OF_MAD = 1.4826
 _PULSE_S, _SETTLED_SHARE, _PULSES = 0.1, 0.5, 10
 """A coil pushes up for half of a pulse and down for the other; of each, the last half counts."""
@@ -76,7 +81,7 @@ class Commissioned:
 
     stuck (S,): sensors whose reading never changed. readback (C,): channel whose measured force
     follows the command of each channel, -1 for none.
-    largest_n: largest force of a coil that was commanded.
+    largest_n: largest force of a coil that was commanded. beam: None if it was not moved.
     """
 
     resting: Resting
@@ -86,6 +91,7 @@ class Commissioned:
     readback: NDArray[np.int64]
     delay_cycles: int
     largest_n: float
+    beam: BeamDirection | None = None
 
 
 def commission(
@@ -95,10 +101,12 @@ def commission(
     force_n: float,
     ask: Ask,
     progress: Callable[[str, float], None],
+    beam_m: float = 0.0,
 ) -> Commissioned:
     """Find order, sign and scale of all channels of a rig at rest on its lower stops.
 
-    force_n: force of one coil at a time, up and down.
+    force_n: force of one coil at a time, up and down. beam_m: how far the beam moves, 0 for not at
+    all; the rest of the commissioning does without.
 
     Raises:
         CommissionError: the platform was not held as asked, or too few sensors follow it.
@@ -132,9 +140,42 @@ def commission(
     coils = coil_order(
         pose, np.median(sd, axis=0), np.array(geometry.coil_x_m), np.array(geometry.coil_y_m)
     )
+    beam = None
+    if beam_m and coils.place.max() >= 0:
+        progress("beam", 0.95)
+        beam = _beam(session, rig, sensors, coils, pose, at_rest, beam_m)
     typical = round(float(np.median(delays))) if delays else -1
     stuck = np.ptp(moved, axis=0) == 0.0
-    return Commissioned(at_rest, stuck, sensors, coils, readback, typical, session.largest_n)
+    return Commissioned(at_rest, stuck, sensors, coils, readback, typical, session.largest_n, beam)
+
+
+def _beam(
+    session: DeviceSession,
+    rig: RigConfig,
+    sensors: SensorOrder,
+    coils: CoilOrder,
+    pose: Array,
+    at_rest: Resting,
+    beam_m: float,
+) -> BeamDirection:
+    """Move the beam forth and back and return what the tilt says of its direction."""
+    decouple = _decoupling(rig, sensors, ~at_rest.clipped)
+    look = round(_BEAM_LOOK_S * rig.rate_hz)
+
+    def tilt() -> float:
+        return float((session.run(look).gap_m.mean(axis=0) @ decouple.T)[1])
+
+    begin_m = session.beam_m
+    tilts = [tilt()]
+    for number in range(2 * _BEAM_MOVES):
+        session.move_beam(begin_m + (beam_m if number % 2 == 0 else 0.0))
+        tilts.append(tilt())
+    alive = ~coils.dead
+    x_m = np.array(rig.geometry.coil_x_m)[coils.place]
+    compliance = tilt_compliance(pose[alive, 1], coils.gain[alive], x_m[alive])
+    law = feed_forward(rig, 1.0 / rig.rate_hz)
+    here, there = law.wrench(np.array([[begin_m, 0.0, 0.0], [begin_m + beam_m, 0.0, 0.0]]))
+    return beam_direction(np.diff(tilts), beam_m, float(there[1] - here[1]), compliance)
 
 
 def _sensors(rig: RigConfig, held: Sequence[Held], moved_m: Array, stops: Stops) -> SensorOrder:
@@ -232,10 +273,21 @@ def _pose_per_newton(
     parts = pose.reshape(_PULSES, 2, half, 3)[:, :, -settled:].mean(axis=2)
     size = np.abs(found.commanded_n[:, channel]).max()
     each = (parts[:, 0] - parts[:, 1]) / (2.0 * size)
-    # Medians: a cycle that came so late that the force expired spoils a pulse.
+    each = each[_acted(found, half, settled)]
     middle = np.median(each, axis=0)
     sd = _SD_OF_MAD * np.median(np.abs(each - middle), axis=0)
-    return middle, sd / np.sqrt(_PULSES)
+    return middle, sd / np.sqrt(len(each))
+
+
+def _acted(found: Readings, half: int, settled: int) -> NDArray[np.bool_]:
+    """Return the pulses (n,) during which the measured force did not drop out.
+
+    A cycle that comes late lets the setpoints expire. The channel of the measurement is not known
+    yet: it is the one that changes most. Without any, all pulses count.
+    """
+    force = found.coil_n.reshape(_PULSES, 2, half, -1)[:, :, -settled:].mean(axis=2)
+    change = np.abs(force[:, 0] - force[:, 1]).max(axis=1)
+    return np.asarray(change >= _ACTED_SHARE * change.max())
 
 
 def _answer(found: Readings, channel: int, force_n: float) -> tuple[int, int | None]:

@@ -29,6 +29,11 @@ def problems(found: Commissioned) -> list[str]:
         *(f"coil {i} does not move the platform" for i in _at(found.coils.dead)),
         *(f"sensor {i} lies between two places of RIG.yaml" for i in _at(found.sensors.doubtful)),
         *(f"coil {i} acts between two places of RIG.yaml" for i in _at(found.coils.doubtful)),
+        *(
+            ["the beam moves to negative x where its drives say positive: reverse their direction"]
+            if found.beam is not None and found.beam.reversed
+            else []
+        ),
     ]
 
 

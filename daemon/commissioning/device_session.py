@@ -23,9 +23,12 @@ from ...drivers.base import (
 )
 from ...drivers.open_backends import emulated, open_devices
 from ..host.real_time_scheduling import apply_realtime
+from ..planning import point_to_point
 
 _ATTEMPTS = 10
-_ENABLING_S, _FIRST_S = 0.2, 1.0
+_ENABLING_S, _FIRST_S, _SETTLE_S = 0.2, 1.0, 0.5
+_GENTLE = 0.1
+"""Share of the beam's limits at which it moves."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,10 @@ class DeviceSession:
         self._coils = len(rig.geometry.coil_x_m)
         self._sensors = len(rig.geometry.sensors_x_m)
         self._gap_m, self._coil_n = np.zeros(self._sensors), np.zeros(self._coils)
+        self._beam, self._rotor = np.zeros(3), np.zeros(3)
+        self._measured_beam, self._measured_rotor = np.zeros(3), np.zeros(3)
+        self._moves: list[Array] = []
+        self._holds = False  # until it is known where beam and rotor are
         self._cycle = 0
         self._begin_s = 0.0
         self.largest_n = 0.0
@@ -68,7 +75,10 @@ class DeviceSession:
         self._devices: Devices = open_devices(self._context)
         self._begin_s = time.monotonic()
         try:
+            self._devices.drives.read(self._measured_beam, self._measured_rotor)
             self.run(round(_FIRST_S / self._context.period_s))  # until all devices answer
+            self._beam[0], self._rotor[0] = self._measured_beam[0], self._measured_rotor[0]
+            self._holds = True
         except BaseException:
             self._devices.close()
             raise
@@ -90,6 +100,25 @@ class DeviceSession:
     def devices(self) -> Devices:
         """The open devices."""
         return self._devices
+
+    @property
+    def beam_m(self) -> float:
+        """Position of the beam, as its drives measure it."""
+        return float(self._measured_beam[0])
+
+    def move_beam(self, to_m: float) -> None:
+        """Move the beam gently to a position and wait until it is there."""
+        limits = self._context.rig.limits
+        self._moves = list(
+            point_to_point.move(
+                float(self._beam[0]),
+                to_m,
+                _GENTLE * limits.beam_velocity_m_s,
+                _GENTLE * limits.beam_acceleration_m_s2,
+                self._context.period_s,
+            )
+        )
+        self.run(len(self._moves) + round(_SETTLE_S / self._context.period_s))
 
     def run(
         self,
@@ -136,10 +165,15 @@ class DeviceSession:
             except SensorError as error:  # the reading is there; what is wrong is found later
                 self.said.append(str(error))
             devices.amplifiers.read(self._coil_n)
+            devices.drives.read(self._measured_beam, self._measured_rotor)
             gap[k], coil[k] = self._gap_m, self._coil_n
             command = zero if force is None else self._checked(force(k))
             commanded[k] = command
             devices.amplifiers.write(command)
+            if self._moves:
+                self._beam[:] = self._moves.pop(0)
+            if self._holds:
+                devices.drives.write(self._beam, self._rotor)
             if ended is not None and (k + 1) % every == 0:
                 so_far = Readings(gap[: k + 1], coil[: k + 1], commanded[: k + 1])
                 if ended(so_far):

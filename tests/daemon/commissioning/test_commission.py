@@ -28,7 +28,8 @@ from levid.daemon.commissioning.corrections import corrected_text, corrections, 
 from levid.daemon.commissioning.device_session import DeviceSession
 from levid.daemon.control.faults import FlightFault
 from levid.daemon.loop.virtual_session import fly_virtually
-from levid.drivers.base import Context, DriverError
+from levid.drivers.base import Context, DriverError, ManipulatorDrives
+from levid.drivers.loopback import LoopbackBackend
 
 SWAPPED = Wiring(
     coil_order=(1, 0, 2, 3, 4, 5, 6, 8, 7),
@@ -87,6 +88,40 @@ def test_corrected_rig_flies_where_the_wrong_one_does_not(tmp_path: Path) -> Non
         "coil channel 4 pushes 1.2",
     ):
         assert words in said
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_beam_that_moves_the_wrong_way_is_a_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: float
+) -> None:
+    plain = LoopbackBackend.drives
+
+    class Wired(ManipulatorDrives):
+        """Drives whose direction is `way`."""
+
+        def __init__(self, inside: ManipulatorDrives) -> None:
+            self.inside = inside
+
+        def write(self, beam, rotor):  # type: ignore[no-untyped-def]
+            self.inside.write(way * beam, rotor)
+
+        def read(self, beam, rotor):  # type: ignore[no-untyped-def]
+            self.inside.read(beam, rotor)
+            beam *= way
+
+    monkeypatch.setattr(LoopbackBackend, "drives", lambda self: Wired(plain(self)))
+    path = rig_file(tmp_path, "loopback", SWAPPED, 6)
+    rig = load_rig(path)
+    with DeviceSession(Context(rig, 1e-3, tmp_path), FORCE_N, FORCE_N) as session:
+        (backend,) = session.devices.backends
+        assert isinstance(backend, LoopbackBackend)
+        found = commission(session, rig, STOPS, FORCE_N, backend.lift, lambda *_: None, beam_m=0.02)
+        assert session.beam_m == pytest.approx(0.0, abs=1e-6)  # it is where it was
+    assert found.beam is not None
+    assert found.beam.sd < 0.05
+    # Sensors and coils are known to a per cent each.
+    assert found.beam.ratio == pytest.approx(way, abs=0.05)
+    assert any("the beam moves to negative x" in line for line in problems(found)) == (way < 0.0)
 
 
 def test_no_command_exceeds_the_limit(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ _MAINS_HZ = (50.0, 60.0)
 _HARMONICS = 5
 _END_SHARE = 0.1
 """Share of readings at one end: noise of two steps of a converter or more has a hundredth there."""
+_LEAST_FRESH = 20
 _TIMES_THE_NOISE = 20.0
 """Power of a line over that of white noise of the same level, from which it counts: of a hundred
 bins of noise alone none reaches it in 99.99 % of the records (exponential distribution)."""
@@ -59,7 +60,10 @@ def resting(gap_m: Array, rate_hz: float) -> Resting:
 def clipped(gap_m: Array) -> NDArray[np.bool_]:
     """Return which sensors (S,) rest at an end of their range, wholly or for a part of the time.
 
-    Their largest or smallest reading is far more frequent than that of noise.
+    Their largest or smallest reading is far more frequent than that of noise. Rows that repeat all
+    readings are missing ones.
     """
+    fresh = np.append(True, np.any(np.diff(gap_m, axis=0) != 0.0, axis=1))
+    gap_m = gap_m[fresh] if fresh.sum() >= _LEAST_FRESH else gap_m
     at_end = [(gap_m == end).mean(axis=0) for end in (gap_m.min(axis=0), gap_m.max(axis=0))]
     return np.asarray(np.maximum(*at_end) > _END_SHARE)

@@ -77,7 +77,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 told_apart_by="slow and fast motions of the same amplitude",
                 contains={"friction.coulomb": _turn},
             ),
-            *([] if places.beam else _asymmetric(i, dof, force, speed, v_s)),
+            *_asymmetric(i, dof, force, speed, v_s),
             Effect(
                 "friction.dahl",
                 "Dahl friction (elastic before slip)",

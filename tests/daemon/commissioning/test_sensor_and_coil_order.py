@@ -114,6 +114,9 @@ def test_mains_and_clipping_at_rest() -> None:
     assert found.mains_m[0] == 0.0
     assert found.sd_m[0] == pytest.approx(1e-7, rel=0.1)
     assert clipped(gap).tolist() == found.clipped.tolist()
+    # A bus that stood still repeats a row, which may be an extreme one.
+    stale = np.concatenate([gap[:, :2], np.repeat(gap[None, gap[:, 0].argmax(), :2], 700, axis=0)])
+    assert not clipped(stale).any()
 
 
 def test_a_place_is_given_once() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .output_folder_check import quoted
+from .output_folder_check import quoted, writable_folder
 from .progress import progress, say
 
 if TYPE_CHECKING:
@@ -77,22 +77,33 @@ def command(
     """
     from ..config.rig import load_rig
     from ..daemon.api.socket_paths import listens, own_socket
-    from ..daemon.commissioning.commission import CommissionError, Stops, commission
+    from ..daemon.commissioning.commission import Stops, commission
     from ..daemon.commissioning.corrections import (
+        check_text,
         corrected_text,
         corrections,
         problems,
         write_corrected,
     )
     from ..daemon.commissioning.device_session import DeviceSession
+    from ..daemon.commissioning.errors import CommissionError
     from ..drivers.base import Context
     from ..report.commissioning.commissioning_page import commissioning_report
 
     config = load_rig(rig)
     if listens(own_socket(config)):
         raise CommissionError("a daemon is running on this rig: end it first (levid run, Ctrl-C)")
+    text = rig.read_bytes().decode("utf-8")
+    folder = out.with_name(f"{out.stem}-commissioning")
+    # All that can go wrong later is asked before anybody lifts anything.
     if out.exists():
         raise CommissionError(f"{out}: exists; a rig is never written over")
+    if out.absolute().parent.resolve() != rig.absolute().parent.resolve():
+        raise CommissionError(
+            f"--out {out}: expected a file beside {rig}: the copy keeps its relative paths"
+        )
+    check_text(text, str(rig))
+    writable_folder(folder, ("index.html",), ("figures",))
     weight_n = _weight_n(config)
     push_n = min(force_n or weight_n / _COILS_A_WEIGHT, config.limits.coil_n)
     if push_n > 0.25 * weight_n:
@@ -114,13 +125,12 @@ def command(
     )
     with DeviceSession(context, push_n, push_n) as session, progress("commissioning") as report:
         found = commission(session, config, stops, push_n, _asker(session), report, 1e-3 * beam_mm)
-    wrong, corrected = problems(found), corrections(found, config)
-    written = None
-    if not wrong:
-        write_corrected(out, corrected_text(rig.read_text(encoding="utf-8"), found, config))
+    wrong, corrected = problems(found), corrections(found)
+    written = None if wrong else out
+    page = commissioning_report(found, config, written, folder)
+    if written is not None:
+        write_corrected(out, corrected_text(text, found, config))
         load_rig(out)
-        written = out
-    page = commissioning_report(found, config, written, out.with_suffix(""))
     if as_json:
         summary = {**_as_json(found, wrong, corrected, written), "report": str(page)}
         click.echo(json.dumps(summary))
@@ -159,11 +169,12 @@ def _asker(session: DeviceSession) -> Ask:
 def _print(
     found: Commissioned, wrong: list[str], corrected: list[str], written: Path | None
 ) -> None:
+    from ..daemon.commissioning.corrections import remarks
+
     at_rest = found.resting
-    sd = 1e6 * at_rest.sd_m
-    click.echo(
-        f"noise of the sensors at rest: {sd[sd > 0].min(initial=1e9):.3g} to {sd.max():.3g} um"
-    )
+    sd = 1e6 * at_rest.sd_m[~at_rest.clipped]
+    if sd.size:
+        click.echo(f"noise of the sensors at rest: {sd.min():.3g} to {sd.max():.3g} um")
     if at_rest.mains_m.any():
         click.echo(
             f"mains pick-up at {at_rest.mains_hz:g} Hz: up to {1e6 * at_rest.mains_m.max():.3g} um"
@@ -173,13 +184,15 @@ def _print(
     click.echo(f"largest force of a coil: {found.largest_n:.3g} N")
     if found.beam is not None:
         sure = f"{found.beam.ratio:.2f} +- {2 * found.beam.sd:.2f}"
-        click.echo(f"tilt by the beam's weight over what the model and the coils say: {sure}")
+        click.echo(f"tilt by the beam's weight, over the expected one: {sure} (1 is right)")
     for line in corrected:
         click.echo(f"corrected: {line}" if written else f"found: {line}")
     if not corrected and not wrong:
         click.echo("all channels are as RIG.yaml says")
     for line in wrong:
         click.echo(f"problem: {line}")
+    for line in remarks(found):
+        click.echo(f"remark: {line}")
     if written is None:
         say("No RIG.yaml was written: repair these channels, and commission again.")
         return
@@ -190,17 +203,25 @@ def _print(
 def _as_json(
     found: Commissioned, wrong: list[str], corrected: list[str], written: Path | None
 ) -> dict[str, object]:
+    from ..daemon.commissioning.corrections import coil_scale, remarks, sensor_scale
+
     return {
         "problems": wrong,
         "corrections": corrected,
         "written": None if written is None else str(written),
         "sensors": {
             "place": found.sensors.place.tolist(),
-            "scale": found.sensors.scale.tolist(),
+            "scale": sensor_scale(found),
+            "measured": found.sensors.scale.tolist(),
             "noise_m": found.resting.sd_m.tolist(),
             "mains_m": found.resting.mains_m.tolist(),
         },
-        "coils": {"place": found.coils.place.tolist(), "gain": found.coils.gain.tolist()},
+        "coils": {
+            "place": found.coils.place.tolist(),
+            "scale": coil_scale(found),
+            "measured": found.coils.gain.tolist(),
+        },
+        "remarks": remarks(found),
         "readback": found.readback.tolist(),
         "delay_cycles": found.delay_cycles,
         "beam": None if found.beam is None else {"ratio": found.beam.ratio, "sd": found.beam.sd},

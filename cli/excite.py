@@ -84,6 +84,8 @@ def command(
 
     config = load_session(session)
     refuse_used_folder(out)
+    if virtual and override:
+        raise click.UsageError("--override: a virtual flight is not checked before lift-off")
     if virtual:
         result = fly_here(config, session, rig_path, sim_path, out)
     elif sim_path is not None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+
+from .progress import say
 
 if TYPE_CHECKING:
     from ..config.rig import RigConfig
@@ -28,7 +31,7 @@ def preflight(rig_path: Path, sessions: Sequence[Path], out: Path | None) -> int
     findings = rig_findings(rig, rig_path)
     _print(str(rig_path), findings)
     for path in sessions:
-        found = session_findings(load_session(path), path, rig, out or Path())
+        found = session_findings(load_session(path), path, rig, rig_path, out or Path())
         _print(str(path), found)
         findings += found
     return 1 if any(f.failed for f in findings) else 0
@@ -48,11 +51,12 @@ def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
     if listens(socket):
         with Client(socket) as client:
             answer = client.request("status")
-        if answer["rig"] == rig.name:
+        if answer["rig_crc32"] == zlib.crc32(path.read_bytes()):
             return [
                 Finding(Check(f["check"]), Outcome(f["outcome"]), f["found"], f["remedy"])
                 for f in answer["preflight"]
             ]
+        say(f"the running daemon flies another rig or another version of {path}: it is not asked")
     lacking = missing(Context(rig, 1 / rig.rate_hz, path.parent))
     devices = Finding(Check.DEVICES, Outcome.UNKNOWN, "tested by the daemon: levid run")
     if lacking:
@@ -74,19 +78,32 @@ def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
 
 
 def session_findings(
-    session: SessionConfig, path: Path, rig: RigConfig, out: Path
+    session: SessionConfig, path: Path, rig: RigConfig, rig_path: Path, out: Path
 ) -> list[Finding]:
     """Return the predicted motion of a session, and the room that its logs need."""
-    from ..daemon.planning.log_folder import disk_finding
     from ..daemon.planning.plan import plan_session
     from ..daemon.planning.predicted_motion import motion_finding
     from ..daemon.recording.log_size import most_log_bytes
 
     plan = plan_session(session, rig, source=str(path))
+    disk = _disk(rig, rig_path, out, most_log_bytes(rig, plan.cycles))
+    return [motion_finding(rig, plan), disk]
+
+
+def _disk(rig: RigConfig, rig_path: Path, out: Path, needed_bytes: int) -> Finding:
+    """Return whether the daemon takes the folder and its disk has room; create nothing."""
+    from ..daemon.control.preflight_findings import Check, Finding
+    from ..daemon.planning.log_folder import disk_finding, folder_problem
+
+    root = rig.recording.root
+    limit = None if root is None else rig_path.absolute().parent / root
+    problem = folder_problem(out.absolute(), limit)
+    if problem:
+        return Finding.of(Check.DISK, False, problem, "choose another folder")
     existing = out.absolute()
     while not existing.exists():
         existing = existing.parent
-    return [motion_finding(rig, plan), disk_finding(existing, most_log_bytes(rig, plan.cycles))]
+    return disk_finding(existing, needed_bytes)
 
 
 def _print(name: str, findings: Sequence[Finding]) -> None:

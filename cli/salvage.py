@@ -52,11 +52,11 @@ def command(logs: tuple[Path, ...], out: Path | None, like: Path | None, as_json
             if out is not None:
                 out.mkdir(parents=True, exist_ok=True)
             written = () if found.whole else found.write(target)
-        except LogError as error:
+        except (LogError, OSError) as error:
             failed = True
             results.append({"log": str(log), "error": str(error)})
             if not as_json:
-                say(f"error: {error}")
+                say(f"error: {error}" if isinstance(error, LogError) else f"error: {log}: {error}")
             continue
         results.append(_as_json(found, written))
         if not as_json:
@@ -75,7 +75,13 @@ def _print(found: Salvaged, written: tuple[Path, ...]) -> None:
         f"{found.described_by}"
     )
     for lost in found.lost:
+        if lost.rows == 0:
+            click.echo(f"  damaged: bytes {lost.begin} to {lost.end}, which held no rows")
+            continue
         rows = "an unknown number of rows" if lost.rows is None else f"{lost.rows} rows"
+        if lost.begin == lost.end:
+            click.echo(f"  lost: {rows} behind byte {lost.end}, where the file ends")
+            continue
         click.echo(
             f"  lost: {rows} in bytes {lost.begin} to {lost.end}, before row {lost.before_row}"
         )

@@ -126,15 +126,15 @@ def salvage(path: Path | str, like: Path | str | None = None) -> Salvaged:
         LogError: not a file, no undamaged chunk, or no description of the rows.
     """
     path = Path(path)
-    data = mapped(path)
     try:
+        data = mapped(path)
         found = list(_chunks(data))
         if not found:
             raise LogError(
                 "expected an MCAP log with compressed chunks, found no undamaged chunk in "
                 f"{len(data)} bytes"
             )
-        head, described_by = _description(data, like)
+        head, described_by = _description(data, path, like)
         return _salvaged(path, data, found, head, described_by)
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
@@ -154,7 +154,9 @@ def _salvaged(
 ) -> Salvaged:
     number, dtype = described_channel(head)
     channel = head.channels[number]
-    rows, times, chunks = [], [], []
+    rows: list[NDArray[np.void]] = []
+    times: list[NDArray[np.uint64]] = []
+    chunks: list[_Found] = []
     for chunk in found:
         where = f"byte {chunk.begin}: chunk: "
         cdr = byte_order(chunk.raw, number, where)
@@ -164,6 +166,8 @@ def _salvaged(
         messages = MessageLayout(number, in_file, cdr).find(chunk.raw, where)
         own = np.ascontiguousarray(messages["payload"]).view(in_file)[:, 0].astype(dtype)
         _check_numbers(own, messages["sequence"], where)
+        if rows and "cycle" in (dtype.names or ()) and own["cycle"][0] <= rows[-1]["cycle"][-1]:
+            continue  # a part of the file that stands in it twice
         rows.append(own)
         times.append(messages["log_time"])
         chunks.append(chunk)
@@ -277,7 +281,20 @@ def _after_index(data: memoryview, at: int) -> int:
     return at + RECORD_HEAD.size + int(length) if opcode == Opcode.MESSAGE_INDEX else at
 
 
-def _description(data: memoryview, like: Path | str | None) -> tuple[Contents, str]:
+def _step_of(name: str) -> dict[str, str]:
+    """Return step, name and kind of a session's log from its file's name, as the daemon gives it.
+
+    They are what another log of the session does not know.
+    """
+    found = re.fullmatch(r"(\d{2,})-([A-Za-z0-9][A-Za-z0-9._-]*?)(?:\.\d+)?", name)
+    if found is None:
+        return {}
+    step, named = found.groups()
+    kind = named if named in ("levitate", "move", "land") else "record"
+    return {"step": str(int(step)), "name": named, "kind": kind}
+
+
+def _description(data: memoryview, path: Path, like: Path | str | None) -> tuple[Contents, str]:
     """Return head or summary, and where it was found."""
     own = checked_head(data)
     if own is not None:
@@ -289,6 +306,9 @@ def _description(data: memoryview, like: Path | str | None) -> tuple[Contents, s
         other = checked_head(mapped(Path(like)))
         if other is None:
             raise LogError(f"{like}: expected a log of levid with an undamaged head")
+        own_step = _step_of(path.stem)
+        if own_step and "levid" in other.metadata:
+            other.metadata["levid"] = {**other.metadata["levid"], **own_step}
         return other, str(like)
     summary = _summary(data)
     if summary is not None:

@@ -104,7 +104,7 @@ def drawn(seed: int) -> Wiring:
     return Wiring(order(), scale(), order(), scale(), maybe(), maybe())
 
 
-def mistakes(found: Commissioned, wiring: Wiring, rig: RigConfig) -> list[str]:
+def mistakes(found: Commissioned, wiring: Wiring) -> list[str]:
     """Return what was not found, or found although it is not there."""
     wrong = []
     used = sensor_scale(found)
@@ -125,7 +125,7 @@ def mistakes(found: Commissioned, wiring: Wiring, rig: RigConfig) -> list[str]:
     expected = (wiring.dead_coil is not None) + (wiring.stuck_sensor is not None)
     if len(named) != expected:
         wrong.append(f"said: {'; '.join(named)}")
-    if wiring.right and (said := corrections(found, rig)):
+    if wiring.right and (said := corrections(found)):
         wrong.append(f"corrected: {'; '.join(said)}")
     if found.largest_n > FORCE_N:
         wrong.append(f"a force of {found.largest_n} N")
@@ -212,8 +212,8 @@ def measure(quick: bool) -> Iterator[Figure]:
             wiring, begin_s = drawn(seed), time.monotonic()
             with tempfile.TemporaryDirectory() as folder:
                 try:
-                    rig, found = commissioned(Path(folder), kind, wiring, seed)
-                    wrong = mistakes(found, wiring, rig)
+                    _, found = commissioned(Path(folder), kind, wiring, seed)
+                    wrong = mistakes(found, wiring)
                 except Exception as error:  # noqa: BLE001 - counted, and the next rig goes on
                     wrong = [f"{type(error).__name__}: {error}"]
             longest_s = max(longest_s, time.monotonic() - begin_s)

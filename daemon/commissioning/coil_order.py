@@ -10,17 +10,22 @@ gain relative to the others.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import CommissionError
 from .sensor_order import places_of
 
 Array = NDArray[np.float64]
 
 _DEAD_SHARE = 0.2
 """Response below this share of the median is none: gains differ by less."""
+_MOST_CHOICES = 20_000
+"""Of places that dead coils may have left free: so many are tried in a second."""
 _LEAST_SIGMA = 8.0
 """Response over its own uncertainty that a coil must reach to be judged."""
 
@@ -48,10 +53,19 @@ def coil_order(pose: Array, pose_sd: Array, x_m: Array, y_m: Array) -> CoilOrder
 
     pose: psi in rad, theta in rad, z in m, each per N; pose_sd (3,): their standard deviation.
     x_m, y_m (C,): the places in RIG.yaml.
+
+    Raises:
+        CommissionError: most coils do not move the platform.
     """
     lifted, sd = pose[:, 2], pose_sd[2]
     size = np.abs(lifted)
     heard = size > _LEAST_SIGMA * sd
+    if 2 * heard.sum() < len(heard):
+        raise CommissionError(
+            f"{len(heard) - heard.sum()} of {len(heard)} coils move the platform by less than "
+            f"{_LEAST_SIGMA:g} times its noise: give them more force (--force-n), or check their "
+            "supply"
+        )
     usual = float(np.median(size[heard])) if heard.any() else np.inf
     alive = heard & (size > _DEAD_SHARE * usual)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -67,16 +81,17 @@ def _scaled(slope: Array, alive: NDArray[np.bool_], places_m: Array) -> Array:
     """Return positions (C,) in m from tilts per height, whose unit is not known.
 
     Both lists, sorted, belong together, up to a factor: that of least squares. A dead coil leaves a
-    place free, so each gap that this may be is tried.
+    place free, and it may be any, so all are tried.
     """
     known = np.sort(slope[alive])
-    ordered, missing = np.sort(places_m), len(places_m) - len(known)
+    ordered = np.sort(places_m)
     best, best_left = 1.0, np.inf
-    for skipped in range(len(ordered) if missing else 1):
-        chosen = np.delete(ordered, (skipped + np.arange(missing)) % len(ordered))
-        power = float(known @ known)
-        factor = float(known @ chosen) / power if power else 1.0
-        left = float(np.sum((factor * known - chosen) ** 2))
+    if math.comb(len(ordered), len(known)) > _MOST_CHOICES:
+        return np.full(len(slope), np.nan)
+    for chosen in set(combinations(ordered.tolist(), len(known))):
+        places, power = np.array(chosen), float(known @ known)
+        factor = float(known @ places) / power if power else 1.0
+        left = float(np.sum((factor * known - places) ** 2))
         if left < best_left:
             best, best_left = factor, left
     return np.asarray(best * slope)

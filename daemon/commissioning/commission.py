@@ -15,6 +15,7 @@ from ..control.feed_forward import feed_forward
 from .beam_direction import BeamDirection, beam_direction, tilt_compliance
 from .coil_order import CoilOrder, coil_order
 from .device_session import DeviceSession, Readings
+from .errors import CommissionError
 from .resting_readings import Resting, clipped, resting
 from .sensor_order import Followed, SensorOrder, at_the_stops, on_the_way, sensor_order
 
@@ -61,10 +62,6 @@ class Held:
 
     mean_m: Array
     clipped: NDArray[np.bool_]
-
-
-class CommissionError(Exception):
-    """Report that a step of commissioning cannot be done, and what to do about it."""
 
 
 @dataclass(frozen=True)

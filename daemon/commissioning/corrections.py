@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
-from .commission import Commissioned, CommissionError
+from .commission import Commissioned
+from .errors import CommissionError
 
-_STROKE_OFF = 0.03
+_STROKE_OFF, _BEAM_OFF = 0.03, 0.2
 _SENSOR_OFF, _COIL_OFF = 0.02, 0.05
 """Relative scale errors that are corrected: well above what a hand at the stops gives, and what
 the response of the stops does."""
@@ -20,15 +21,21 @@ the response of the stops does."""
 
 def problems(found: Commissioned) -> list[str]:
     """Return what forbids a flight: channels that are dead, or of which it is not sure."""
+    common = common_scale(found)
     return [
         *(f"sensor {i} is stuck: its reading never changes" for i in _at(found.stuck)),
         *(
             f"sensor {i} does not follow the platform"
             for i in _at(found.sensors.dead & ~found.stuck)
         ),
-        *(f"coil {i} does not move the platform" for i in _at(found.coils.dead)),
+        *(f"coil {i} moves the platform too little, or not at all" for i in _at(found.coils.dead)),
         *(f"sensor {i} lies between two places of RIG.yaml" for i in _at(found.sensors.doubtful)),
         *(f"coil {i} acts between two places of RIG.yaml" for i in _at(found.coils.doubtful)),
+        *(
+            [f"all sensors read {common:.3g} times as much as they should: is the stroke right?"]
+            if abs(common - 1.0) >= _STROKE_OFF
+            else []
+        ),
         *(
             ["the beam moves to negative x where its drives say positive: reverse their direction"]
             if found.beam is not None and found.beam.reversed
@@ -37,13 +44,42 @@ def problems(found: Commissioned) -> list[str]:
     ]
 
 
-def corrections(found: Commissioned, rig: RigConfig) -> list[str]:
+def remarks(found: Commissioned) -> list[str]:
+    """Return what is worth knowing, and forbids nothing."""
+    beam = found.beam
+    return [
+        *(
+            f"sensor {i} rests at the end of its range: its place and scale are from the way"
+            for i in _at(found.resting.clipped & ~found.sensors.dead)
+        ),
+        *(
+            [
+                f"the beam tilts the platform {abs(beam.ratio):.2g} times as much as its declared "
+                "weight and the coils say: all coils together, the model's m_b or the encoder is "
+                "off by that"
+            ]
+            if beam is not None and beam.sure and abs(abs(beam.ratio) - 1.0) > _BEAM_OFF
+            else []
+        ),
+    ]
+
+
+def common_scale(found: Commissioned) -> float:
+    """Return the median scale of the sensors that follow: the stroke's error, and the stops' sag.
+
+    Sensors of half of all channels are right in it.
+    """
+    scale = found.sensors.scale
+    return float(np.median(np.abs(scale[scale != 0.0])))
+
+
+def corrections(found: Commissioned) -> list[str]:
     """Return what is corrected in the copy of RIG.yaml, in words; empty if all is right."""
     return [
         *_moved("sensor", found.sensors.place),
         *_moved("coil", found.coils.place),
-        *_scaled("sensor", "reads", found.sensors.scale, sensor_scale(found), rig),
-        *_scaled("coil", "pushes", found.coils.gain, coil_scale(found), rig),
+        *_scaled("sensor", "reads", sensor_scale(found)),
+        *_scaled("coil", "pushes", coil_scale(found)),
         *(
             f"coil {i}: its measured force is that of channel {k}: check the wiring of the "
             "current sensors, which RIG.yaml cannot correct"
@@ -54,14 +90,11 @@ def corrections(found: Commissioned, rig: RigConfig) -> list[str]:
 
 
 def sensor_scale(found: Commissioned) -> list[float]:
-    """Return the scale of each sensor for RIG.yaml: 1 unless it is clearly another one.
+    """Return the scale of each sensor against RIG.yaml: 1 unless it is clearly another one.
 
-    A scale that is common to all is that of the stroke, which is known no better than the stops
-    yield under a hand, unless it is large.
+    What is common to all is that of the stroke: it is known no better than stops yield by a hand.
     """
-    scale = found.sensors.scale
-    common = float(np.median(np.abs(scale[scale != 0.0])))
-    return _rounded(scale / common if abs(common - 1.0) < _STROKE_OFF else scale, _SENSOR_OFF)
+    return _rounded(found.sensors.scale / common_scale(found), _SENSOR_OFF)
 
 
 def coil_scale(found: Commissioned) -> list[float]:
@@ -72,8 +105,7 @@ def coil_scale(found: Commissioned) -> list[float]:
 def corrected_text(text: str, found: Commissioned, rig: RigConfig) -> str:
     """Return the text of RIG.yaml with the places and scales that were found; comments stay.
 
-    Raises:
-        CommissionError: the geometry is not written as lists in brackets.
+    `check_text` says whether the text can be corrected.
     """
     geometry = rig.geometry
     sensors = _order(found.sensors.place)
@@ -92,15 +124,26 @@ def corrected_text(text: str, found: Commissioned, rig: RigConfig) -> str:
             continue
         after = re.compile(r"^(\s+)coil_y_m: \[[^\]]*\].*\n", re.MULTILINE)
         match = after.search(text)
-        if match is None:
-            raise CommissionError(
-                "RIG.yaml: expected geometry with coil_x_m and coil_y_m as lists in brackets"
-            )
+        assert match is not None
         text = f"{text[: match.end()]}{match[1]}{key}: [{listed}]\n{text[match.end() :]}"
-    scales = {"sensor_scale": sensor_scale(found), "coil_scale": coil_scale(found)}
-    text = re.sub(r"^channels:.*\n(?:[ \t]+.*\n)*", "", text, flags=re.MULTILINE)
+    # The channels were read and driven with the scales that RIG.yaml has already.
+    scales = {
+        "sensor_scale": _times(sensor_scale(found), rig.channels.sensor_scale),
+        "coil_scale": _times(coil_scale(found), rig.channels.coil_scale),
+    }
+    text = re.sub(r"^channels:.*(?:\n(?:[ \t].*)?(?=\n|\Z))*", "", text, flags=re.MULTILINE)
     lines = [f"  {key}: [{', '.join(f'{v:g}' for v in values)}]" for key, values in scales.items()]
     return "\n".join([text.rstrip("\n"), "", "channels: # by levid commission", *lines, ""])
+
+
+def check_text(text: str, name: str) -> None:
+    """Raise CommissionError if `corrected_text` could not correct the text of a RIG.yaml."""
+    for key in ("coil_x_m", "coil_y_m"):
+        if re.search(rf"^\s+{key}: \[[^\]]*\]", text, re.MULTILINE) is None:
+            raise CommissionError(
+                f"{name}: geometry.{key}: expected a list in brackets on a line of its own, which "
+                f"`levid commission` can correct: `  {key}: [0.12, ...]`"
+            )
 
 
 def write_corrected(path: Path, text: str) -> None:
@@ -130,17 +173,17 @@ def _moved(what: str, place: NDArray[np.int64]) -> Iterator[str]:
             yield f"{what} channel {channel} is at the place of {found} in RIG.yaml"
 
 
-def _scaled(
-    what: str, does: str, raw: NDArray[np.float64], used: Sequence[float], rig: RigConfig
-) -> Iterator[str]:
-    before = getattr(rig.channels, f"{what}_scale") or (1.0,) * len(used)
-    for channel, (scale, value) in enumerate(zip(used, raw, strict=True)):
-        if scale == 1.0 or value == 0.0:
+def _scaled(what: str, does: str, scales: Sequence[float]) -> Iterator[str]:
+    for channel, scale in enumerate(scales):
+        if scale == 1.0:
             continue
         parts = ["with the wrong sign"] if scale < 0.0 else []
-        parts += [f"{abs(value):.3g} times as much as it should"] if abs(scale) != 1.0 else []
-        kept = f" (RIG.yaml has a scale of {before[channel]:g})" if before[channel] != 1.0 else ""
-        yield f"{what} channel {channel} {does} {', '.join(parts)}{kept}"
+        parts += [f"{abs(scale):.3g} times as much as it should"] if abs(scale) != 1.0 else []
+        yield f"{what} channel {channel} {does} {', '.join(parts)}"
+
+
+def _times(found: Sequence[float], before: Sequence[float]) -> list[float]:
+    return [float(f"{a * b:.4g}") for a, b in zip(found, before or [1.0] * len(found), strict=True)]
 
 
 def _rounded(scale: NDArray[np.float64], off: float) -> list[float]:

@@ -53,7 +53,7 @@ def resting(gap_m: Array, rate_hz: float) -> Resting:
         if power.sum() > best_power:
             best, best_hz, best_power = power, mains_hz, float(power.sum())
     # Amplitude of a sine of that power behind a Hann window, whose mean is 1/2.
-    amplitude = 2.0 * np.sqrt(best) / (0.5 * n)
+    amplitude = np.where(clipped(gap_m), 0.0, 2.0 * np.sqrt(best) / (0.5 * n))
     return Resting(gap_m.mean(axis=0), gap_m.std(axis=0), clipped(gap_m), amplitude, best_hz)
 
 

@@ -111,7 +111,7 @@ def places_of(
 
     The channels that are not alive have place -1.
     """
-    channels = np.flatnonzero(alive)
+    channels = np.flatnonzero(alive & np.isfinite(found_x) & np.isfinite(found_y))
     distance = np.hypot(
         found_x[channels, None] - x_m[None, :], found_y[channels, None] - y_m[None, :]
     )

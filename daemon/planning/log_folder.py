@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...config.daemon_settings import Recording
 from ..control.preflight_findings import Check, Finding
-from .log_retention import Flight, delete_old_logs
+from .log_retention import Flight, delete_old_logs, size_of_logs
 from .planner import RefusedError, override_hint
 
 _MOST_NAMED = 5
@@ -27,23 +27,39 @@ def make_folder(
         RefusedError: it cannot be created, is not below `root`, holds logs, is not writable, or its
             disk is too full.
     """
-    if root and not folder.resolve().is_relative_to(Path(root).resolve()):  # links are followed
-        raise RefusedError(f"{folder}: expected a folder below {root} (recording.root)")
+    if problem := folder_problem(folder, Path(root) if root else None):
+        raise RefusedError(problem)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RefusedError(f"{folder}: cannot create the folder: {error.strerror}") from None
-    if any(folder.glob("*.mcap")):
-        raise RefusedError(f"{folder}: expected a folder without logs; name another one")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise RefusedError(f"{folder}: the daemon has no write access to this folder")
     note = ""
     if root and recording is not None:
         note = _words(delete_old_logs(Path(root), recording, needed_bytes, time.time()))
+        most = recording.quota_gb
+        if most is not None and size_of_logs(Path(root)) + needed_bytes > 1e9 * most:
+            note = "; ".join(
+                filter(
+                    None, [note, f"logs exceed recording.quota_gb, {most:g} GB, with this flight"]
+                )
+            )
     finding = disk_finding(folder, needed_bytes)
     if finding.failed:
         raise RefusedError(f"not ready to lift off: {finding}{override_hint(finding.check)}")
     return note
+
+
+def folder_problem(folder: Path, root: Path | None) -> str:
+    """Return why logs may not be written into a folder, as far as that is seen; else empty."""
+    if root is not None and not folder.resolve().is_relative_to(root.resolve()):  # links count
+        return f"{folder}: expected a folder below {root} (recording.root)"
+    if folder.exists() and not folder.is_dir():
+        return f"{folder}: expected a folder, found another kind of file"
+    if any(folder.glob("*.mcap")):
+        return f"{folder}: expected a folder without logs; name another one"
+    return ""
 
 
 def disk_finding(folder: Path, needed_bytes: int) -> Finding:

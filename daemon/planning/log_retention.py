@@ -58,6 +58,11 @@ def delete_old_logs(
     return deleted
 
 
+def size_of_logs(root: Path) -> int:
+    """Return the bytes that all logs below a folder take."""
+    return sum(flight.size for flight in _flights(root))
+
+
 def _flights(root: Path) -> Iterator[Flight]:
     for number, (folder, _, names) in enumerate(os.walk(root)):
         if number >= _MOST_FOLDERS:

@@ -45,7 +45,9 @@ class Preflight:
         return [
             devices_finding(words.state, words.fault, words.detail),
             recorder_finding(supervisor.recorder.gone, supervisor.recorder.problem),
-            real_time_finding(rig.realtime, supervisor.loop_pid),
+            real_time_finding(
+                rig.realtime, supervisor.loop_pid if words.state is not State.OFF else None
+            ),
             cpu_finding(timing or supervisor.timing(), words[Word.CYCLE], rig.rate_hz),
             self._loop,
         ]
@@ -76,12 +78,13 @@ def _why(finding: Finding, overridden: Sequence[str]) -> str:
 def devices_finding(state: State, fault: Fault, detail: str) -> Finding:
     """Return whether all devices are open and have passed the self-test."""
     found = "open, readings at rest as expected"
-    if state in (State.OFF, State.SELF_TEST):
-        found = "not tested yet"
-    elif fault is not Fault.NONE:
+    if fault is Fault.NONE and state in (State.OFF, State.SELF_TEST):
+        return Finding(Check.DEVICES, Outcome.UNKNOWN, "not tested yet")
+    if fault is not Fault.NONE:
         found = f"fault {fault.name}{f' ({detail})' if detail else ''}"
-    ready = fault is Fault.NONE and state not in (State.OFF, State.SELF_TEST)
-    return Finding.of(Check.DEVICES, ready, found, "see the table of faults; then `levid clear`")
+    return Finding.of(
+        Check.DEVICES, fault is Fault.NONE, found, "see the table of faults; then `levid clear`"
+    )
 
 
 def recorder_finding(gone: str, problem: str) -> Finding:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
+import zlib
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -63,6 +64,7 @@ class Supervisor:
     ) -> None:
         self.rig, self.rig_file = rig, rig_file
         self.rig_text = rig_file.read_bytes()
+        self._rig_crc32 = zlib.crc32(self.rig_text)
         # Only once: finding the host's data reads files and runs a process.
         self.attachments = attachments(rig, self.rig_text, b"")
         folder = rig_file.parent.resolve()
@@ -244,6 +246,7 @@ class Supervisor:
         }
         return {
             "rig": self.rig.name,
+            "rig_crc32": self._rig_crc32,
             "rate_hz": self.rig.rate_hz,
             "state": control_words.state.name,
             "cycle": control_words[Word.CYCLE],

@@ -7,7 +7,14 @@ from pathlib import Path
 
 from ...config.rig import RigConfig
 from ...daemon.commissioning.commission import Commissioned
-from ...daemon.commissioning.corrections import coil_scale, corrections, problems, sensor_scale
+from ...daemon.commissioning.corrections import (
+    coil_scale,
+    common_scale,
+    corrections,
+    problems,
+    remarks,
+    sensor_scale,
+)
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Section, Steps, Table, Text, write_report
 from .platform_drawing import Drawn, platform_drawing
@@ -20,7 +27,7 @@ def commissioning_report(
 
     written: the corrected copy of RIG.yaml, None if channels have to be repaired first.
     """
-    wrong, corrected = problems(found), corrections(found, rig)
+    wrong, corrected = problems(found), corrections(found)
     return write_report(
         out_dir,
         f"Commissioning of {rig.name}",
@@ -55,7 +62,11 @@ def _result(
         ),
     ]
     done = "found" if written is None else "corrected"
-    rows = (*(("problem", line) for line in wrong), *((done, line) for line in corrected))
+    rows = (
+        *(("problem", line) for line in wrong),
+        *((done, line) for line in corrected),
+        *(("remark", line) for line in remarks(found)),
+    )
     if rows:
         parts.append(Table("What differs from RIG.yaml", ("", "finding"), rows, labels=2))
     if written is not None:
@@ -83,13 +94,13 @@ def _channels(found: Commissioned, rig: RigConfig) -> list[Text | Table | Pictur
         "The platform from above: the number of the channel that was found at each place. Dead "
         "channels stand at places where no other one was found.",
     )
-    at_rest = found.resting
+    at_rest, scale = found.resting, found.sensors.scale / common_scale(found)
     sensor_rows = tuple(
         (
             str(i),
             _place(found.sensors.place[i], i),
-            f"{found.sensors.scale[i]:.3g}" if found.sensors.scale[i] else "-",
-            f"{1e6 * at_rest.sd_m[i]:.3g}",
+            f"{scale[i]:.3g}" if scale[i] else "-",
+            "end of range" if at_rest.clipped[i] else f"{1e6 * at_rest.sd_m[i]:.3g}",
             f"{1e6 * at_rest.mains_m[i]:.3g}" if at_rest.mains_m[i] else "-",
         )
         for i in range(len(sensors))

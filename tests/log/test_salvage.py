@@ -232,3 +232,32 @@ def test_other_tools_read_the_log_with_the_copy_of_its_head(path, rows):
         names = [attachment.name for attachment in reader.iter_attachments()]
         assert sum(1 for _ in reader.iter_messages()) == len(rows)
     assert names == ["rig.yaml", HEAD]
+
+
+def test_another_log_of_the_session_lends_no_name(path, rows, tmp_path):
+    """A file's name tells its step: the description of another one would make it a take-off."""
+    lift_off = {"kind": "levitate", "name": "levitate", "step": "0", "session": "noise"}
+    other = write_log(tmp_path / "00-levitate.mcap", some_rows(60), metadata=lift_off)
+    data = path.read_bytes()
+    for name, kind in (("03-left-psi.mcap", "record"), ("04-move.mcap", "move")):
+        log = tmp_path / name
+        log.write_bytes(bytes(100) + data[100 : chunks_of(data)[-1][0]])
+        found = salvage(log, other).metadata
+        assert (found["kind"], found["session"]) == (kind, "noise")
+        assert f"{int(found['step']):02d}-{found['name']}.mcap" == name
+
+
+def test_rows_that_stand_in_a_file_twice_come_back_once(path, rows, tmp_path):
+    data = path.read_bytes()
+    for twice in (data + data, data[: len(data) // 2] + data[len(data) // 4 :]):
+        found = salvage(damaged(tmp_path, twice))
+        cycle = found.rows["cycle"].astype(int)
+        assert np.all(np.diff(cycle) > 0)
+        assert found.rows.tobytes() == rows[cycle - 1000].tobytes()
+
+
+def test_errors_name_the_file(tmp_path):
+    with pytest.raises(LogError, match=r"nope\.mcap: cannot be read"):
+        salvage(tmp_path / "nope.mcap")
+    with pytest.raises(LogError, match="found a folder"):
+        salvage(tmp_path)

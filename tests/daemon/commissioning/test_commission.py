@@ -23,9 +23,10 @@ from levid.config.rig import load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.commissioning import commission as commission_module
-from levid.daemon.commissioning.commission import CommissionError, commission
+from levid.daemon.commissioning.commission import commission
 from levid.daemon.commissioning.corrections import corrected_text, corrections, problems
 from levid.daemon.commissioning.device_session import DeviceSession
+from levid.daemon.commissioning.errors import CommissionError
 from levid.daemon.control.faults import FlightFault
 from levid.daemon.loop.virtual_session import fly_virtually
 from levid.drivers.base import Context, DriverError, ManipulatorDrives
@@ -56,8 +57,8 @@ def shipped_text() -> str:
 @pytest.mark.parametrize("seed", range(3, 8))  # one of six is right
 def test_all_that_is_wrong_is_found_and_nothing_else(tmp_path: Path, seed: int) -> None:
     wiring = drawn(seed)
-    rig, found = commissioned(tmp_path, "loopback", wiring, seed)
-    assert not mistakes(found, wiring, rig)
+    _, found = commissioned(tmp_path, "loopback", wiring, seed)
+    assert not mistakes(found, wiring)
     assert found.delay_cycles == 2
     assert found.readback.tolist() == list(range(CHANNELS))
     assert 0.0 < found.largest_n <= FORCE_N
@@ -80,7 +81,7 @@ def test_corrected_rig_flies_where_the_wrong_one_does_not(tmp_path: Path) -> Non
     corrected.write_text(corrected_text(shipped_text(), found, rig))
     assert "# 3 x 3 grid" in corrected.read_text()
     fly(corrected, "right")
-    said = " ".join(corrections(found, rig))
+    said = " ".join(corrections(found))
     for words in (
         "sensor channel 3 is at the place of 5",
         "coil channel 8 is at the place of 7",
@@ -165,6 +166,10 @@ def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
     assert levid("check", new).code == 0
     again = levid("commission", new, "--out", tmp_path / "again.yaml")
     assert "all channels are as RIG.yaml says" in again.out
+    one, other = (load_rig(path) for path in (new, tmp_path / "again.yaml"))
+    assert one.geometry == other.geometry
+    assert one.channels == other.channels
+    assert one.channels.coil_scale[2] == -1.0
     assert "exists" in levid("commission", rig, "--out", new).err
     assert "a quarter of the weight" in levid(
         "commission", rig, "--out", tmp_path / "x.yaml", "--force-n", 30
@@ -172,11 +177,39 @@ def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
 
 
 def test_dead_channel_is_a_problem_and_no_rig_is_written(levid, tmp_path: Path) -> None:
-    path = rig_file(tmp_path, "loopback", Wiring(dead_coil=5, stuck_sensor=2), 4)
-    outcome = levid("commission", path, "--out", tmp_path / "new.yaml")
+    rig_file(tmp_path, "loopback", Wiring(dead_coil=5, stuck_sensor=2), 4)
+    rig = tmp_path / "mine.yaml"
+    rig.write_text(shipped_text())
+    outcome = levid("commission", rig, "--out", tmp_path / "new.yaml")
     assert outcome.code == 1
-    assert "problem: coil 5 does not move the platform" in outcome.out
+    assert "problem: coil 5 moves the platform too little, or not at all" in outcome.out
     assert "problem: sensor 2 does not follow the platform" in outcome.out
-    page = (tmp_path / "new" / "index.html").read_text()
+    page = (tmp_path / "new-commissioning" / "index.html").read_text()
     assert "2 channels must be repaired before this rig can fly." in page
     assert not (tmp_path / "new.yaml").exists()
+
+
+def test_what_can_go_wrong_later_is_asked_before_anybody_lifts(levid, tmp_path: Path) -> None:
+    rig_file(tmp_path, "loopback", Wiring(), 3)
+    rig = tmp_path / "mine.yaml"
+    rig.write_text(shipped_text())
+    elsewhere = tmp_path / "other" / "new.yaml"
+    assert "beside" in levid("commission", rig, "--out", elsewhere).err
+    blocks = tmp_path / "blocks.yaml"
+    blocks.write_text(shipped_text().replace("coil_x_m: [", "coil_x_m:\n    ["))
+    outcome = levid("commission", blocks, "--out", tmp_path / "new.yaml")
+    assert outcome.code == 1
+    assert "coil_x_m: expected a list in brackets" in outcome.err
+    assert not (tmp_path / "new.yaml").exists()
+
+
+def test_wrong_stroke_is_a_problem_and_strong_coils_are_a_remark(levid, tmp_path: Path) -> None:
+    rig_file(tmp_path, "loopback", Wiring(coil_scale=(0.5,) * 9), 3)
+    rig = tmp_path / "mine.yaml"
+    rig.write_text(shipped_text())
+    outcome = levid("commission", rig, "--out", tmp_path / "new.yaml", "--stroke-mm", 1.0)
+    assert outcome.code == 1
+    assert "all sensors read 1.82 times as much as they should: is the stroke right?" in outcome.out
+    outcome = levid("commission", rig, "--out", tmp_path / "new.yaml")
+    assert outcome.code == 0
+    assert "remark: the beam tilts the platform 2 times as much" in outcome.out

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from levid.daemon.commissioning.coil_order import coil_order
+from levid.daemon.commissioning.errors import CommissionError
 from levid.daemon.commissioning.resting_readings import clipped, resting
 from levid.daemon.commissioning.sensor_order import (
     Followed,
@@ -95,8 +96,20 @@ def test_coils_are_told_apart_whatever_the_stops_yield(dead) -> None:
 def test_nothing_is_said_of_coils_below_the_noise() -> None:
     rng = np.random.default_rng(6)
     sd = np.array([3e-8, 3e-8, 1e-8])
-    found = coil_order(sd * rng.standard_normal((9, 3)), sd, X, Y)
-    assert found.dead.all()
+    with pytest.raises(CommissionError, match=r"9 of 9 coils.*--force-n"):
+        coil_order(sd * rng.standard_normal((9, 3)), sd, X, Y)
+
+
+@pytest.mark.parametrize("dead", [(0, 1, 2), (0, 2, 6, 8), (1, 4)])
+def test_coils_beside_dead_ones_are_not_accused(dead) -> None:
+    rng = np.random.default_rng(8)
+    gain = rng.choice([-1.0, 1.0], 9)
+    gain[list(dead)] = 0.0
+    sd = np.array([3e-8, 3e-8, 1e-9])
+    pose = gain[:, None] * np.array([1e-5, 1.4e-5, 1.2e-7]) * SHAPE
+    found = coil_order(pose + sd * rng.standard_normal((9, 3)), sd, X, Y)
+    assert found.place.tolist() == [-1 if i in dead else i for i in range(9)]
+    assert not found.doubtful.any()
 
 
 def test_mains_and_clipping_at_rest() -> None:

@@ -82,6 +82,7 @@ def command(
         check_text,
         corrected_text,
         corrections,
+        first_lift_text,
         problems,
         write_corrected,
     )
@@ -96,8 +97,10 @@ def command(
     text = rig.read_bytes().decode("utf-8")
     folder = out.with_name(f"{out.stem}-commissioning")
     # All that can go wrong later is asked before anybody lifts anything.
-    if out.exists():
-        raise CommissionError(f"{out}: exists; a rig is never written over")
+    first = out.with_stem(f"{out.stem}-first-lift")
+    for new in (out, first):
+        if new.exists():
+            raise CommissionError(f"{new}: exists; a rig is never written over")
     if out.absolute().parent.resolve() != rig.absolute().parent.resolve():
         raise CommissionError(
             f"--out {out}: expected a file beside {rig}: the copy keeps its relative paths"
@@ -129,8 +132,11 @@ def command(
     written = None if wrong else out
     page = commissioning_report(found, config, written, folder)
     if written is not None:
-        write_corrected(out, corrected_text(text, found, config))
+        corrected_rig = corrected_text(text, found, config)
+        write_corrected(out, corrected_rig)
+        write_corrected(first, first_lift_text(corrected_rig, config, weight_n))
         load_rig(out)
+        load_rig(first)
     if as_json:
         summary = {**_as_json(found, wrong, corrected, written), "report": str(page)}
         click.echo(json.dumps(summary))
@@ -197,7 +203,9 @@ def _print(
         say("No RIG.yaml was written: repair these channels, and commission again.")
         return
     click.echo(f"{written}: written")
-    say(f"next: levid check {quoted(written)}, levid run {quoted(written)}, levid levitate")
+    first = written.with_stem(f"{written.stem}-first-lift")
+    click.echo(f"{first}: written, with tight limits for the first lift")
+    say(f"next: levid check {quoted(written)}, then levid run {quoted(first)} and levid levitate")
 
 
 def _as_json(

@@ -14,6 +14,12 @@ from .commission import Commissioned
 from .errors import CommissionError
 
 _STROKE_OFF, _BEAM_OFF = 0.03, 0.2
+_HOVER, _WEIGHT, _ROOM = 2.5, 1.25, 0.5
+"""Of a first lift: force of a coil over its share of the weight, all forces over the weight, tilt
+and speed over their limits."""
+_LIMITS = re.compile(r"^limits:[ \t]*(?:#.*)?\n(?:[ \t]+.*\n|[ \t]*\n)+", re.MULTILINE)
+_ARM_M, _FALL_M_S = 0.12, 0.13
+"""Arm of a tilt, and speed of a fall onto the stops, for a rig that limits neither."""
 _SENSOR_OFF, _COIL_OFF = 0.02, 0.05
 """Relative scale errors that are corrected: well above what a hand at the stops gives, and what
 the response of the stops does."""
@@ -136,14 +142,49 @@ def corrected_text(text: str, found: Commissioned, rig: RigConfig) -> str:
     return "\n".join([text.rstrip("\n"), "", "channels: # by levid commission", *lines, ""])
 
 
+def first_lift_text(text: str, rig: RigConfig, weight_n: float) -> str:
+    """Return the text of a RIG.yaml with limits for a first lift: half of the room, little force.
+
+    The forces suffice to hover and to correct; a wrong sign that commissioning did not see ends the
+    lift-off before the platform is fast. Limits that are tighter already stay.
+    """
+    limits, coils = rig.limits, len(rig.geometry.coil_x_m)
+    hover_n = weight_n / coils
+    tight = {
+        "coil_n": _HOVER * hover_n,
+        "total_n": _WEIGHT * weight_n,
+        "tilt_rad": _ROOM * (limits.tilt_rad or limits.gap_m / _ARM_M),
+        "gap_m_s": _ROOM * (limits.gap_m_s or _FALL_M_S),
+    }
+    found = _LIMITS.search(text)
+    assert found is not None
+    block = found[0]
+    for key, most in tight.items():
+        own = getattr(limits, key)
+        value = most if own is None else min(most, own)
+        line = re.compile(rf"^(\s+){key}: [^\s#]+", re.MULTILINE)
+        if line.search(block):
+            block = line.sub(rf"\g<1>{key}: {value:.4g}", block, count=1)
+        else:
+            head, _, rest = block.partition("\n")
+            block = f"{head}\n  {key}: {value:.4g}\n{rest}"
+    text = f"{text[: found.start()]}{block}{text[found.end() :]}"
+    return f"# For the first lift only: tight limits, by levid commission.\n{text}"
+
+
 def check_text(text: str, name: str) -> None:
-    """Raise CommissionError if `corrected_text` could not correct the text of a RIG.yaml."""
+    """Raise CommissionError for a RIG.yaml whose text could not be corrected or tightened."""
     for key in ("coil_x_m", "coil_y_m"):
         if re.search(rf"^\s+{key}: \[[^\]]*\]", text, re.MULTILINE) is None:
             raise CommissionError(
                 f"{name}: geometry.{key}: expected a list in brackets on a line of its own, which "
                 f"`levid commission` can correct: `  {key}: [0.12, ...]`"
             )
+    if _LIMITS.search(text) is None:
+        raise CommissionError(
+            f"{name}: limits: expected one key on a line, which `levid commission` can tighten for "
+            "the first lift: `  coil_n: 20`"
+        )
 
 
 def write_corrected(path: Path, text: str) -> None:

@@ -75,8 +75,10 @@ def _result(
                 (
                     ("Check the corrected rig and what the daemon asks before a lift-off",
                      f"levid check {written} && levid check --preflight {written}"),
-                    ("Start the daemon with it", f"levid run {written}"),
-                    ("Lift off", "levid levitate"),
+                    ("Start the daemon with tight limits",
+                     f"levid run {written.with_stem(f'{written.stem}-first-lift')}"),
+                    ("Lift off for the first time, then land", "levid levitate && levid land"),
+                    ("From then on", f"levid run {written}"),
                 )
             )
         )  # fmt: skip

@@ -24,7 +24,12 @@ from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.daemon.commissioning import commission as commission_module
 from levid.daemon.commissioning.commission import commission
-from levid.daemon.commissioning.corrections import corrected_text, corrections, problems
+from levid.daemon.commissioning.corrections import (
+    corrected_text,
+    corrections,
+    first_lift_text,
+    problems,
+)
 from levid.daemon.commissioning.device_session import DeviceSession
 from levid.daemon.commissioning.errors import CommissionError
 from levid.daemon.control.faults import FlightFault
@@ -81,6 +86,13 @@ def test_corrected_rig_flies_where_the_wrong_one_does_not(tmp_path: Path) -> Non
     corrected.write_text(corrected_text(shipped_text(), found, rig))
     assert "# 3 x 3 grid" in corrected.read_text()
     fly(corrected, "right")
+    first = tmp_path / "first.yaml"
+    first.write_text(first_lift_text(corrected.read_text(), rig, 68.7))
+    limits = load_rig(first).limits
+    assert limits.coil_n == pytest.approx(2.5 * 68.7 / 9, rel=1e-3)
+    assert limits.total_n == pytest.approx(1.25 * 68.7, rel=1e-3)
+    assert (limits.tilt_rad, limits.gap_m_s) == (0.00325, 0.075)
+    fly(first, "first")
     said = " ".join(corrections(found))
     for words in (
         "sensor channel 3 is at the place of 5",
@@ -163,7 +175,7 @@ def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
     page = Path(found["report"]).read_text()
     assert "This rig can fly after 11 corrections." in page
     assert "coil channel 8 is at the place of 7 in RIG.yaml" in page
-    assert levid("check", new).code == 0
+    assert levid("check", new, tmp_path / "new-first-lift.yaml").code == 0
     again = levid("commission", new, "--out", tmp_path / "again.yaml")
     assert "all channels are as RIG.yaml says" in again.out
     one, other = (load_rig(path) for path in (new, tmp_path / "again.yaml"))

@@ -11,7 +11,7 @@ DEV := $(VENV)/.installed-dev
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-long test-together test-alone test-rig bench lint format lock clean
+.PHONY: help demo test test-long test-beside test-rest test-rig bench lint format lock clean
 
 help:
 	@echo "make demo      fly, identify and trace the simulated rig; print the paths of the reports"
@@ -42,12 +42,17 @@ test-long: $(DEV)
 	$(IN_PARALLEL) -m "long and not alone" || failed=$$?; \
 	$(BIN)/python -m pytest -m "long and alone" && exit $$failed
 
-# All tests of the two above, in two halves: .ci/run runs the first beside a virtual machine.
-test-together: $(DEV)
-	$(IN_PARALLEL) -m "not alone"
+# All tests of the two above, in two parts. .ci/run runs the first, one process that only computes, beside a virtual
+# machine: more would take it the processor's caches.
+test-beside: $(DEV)
+	@failed=0; \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "long and not alone" || failed=$$?; \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone and not long" tests/report && exit $$failed
 
-test-alone: $(DEV)
-	$(BIN)/python -m pytest -m alone
+test-rest: $(DEV)
+	@failed=0; \
+	$(IN_PARALLEL) -m "not alone and not long" --ignore tests/report || failed=$$?; \
+	$(BIN)/python -m pytest -m alone && exit $$failed
 
 test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh

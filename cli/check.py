@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,8 +43,13 @@ _LEAST_REPORTED = 1e-3
     type=click.Path(path_type=Path),
     help="With --preflight, the folder for the logs. Default: this folder.",
 )
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
 def command(
-    files: tuple[Path, ...], rig_path: Path | None, before_flight: bool, out: Path | None
+    files: tuple[Path, ...],
+    rig_path: Path | None,
+    before_flight: bool,
+    out: Path | None,
+    as_json: bool,
 ) -> int:
     """Check FILES: rigs, simulators, sessions, models, signals, and logs (.mcap).
 
@@ -56,23 +62,32 @@ def command(
       levid check config/rigs/loopback.yaml config/sessions/beam.yaml
       levid check out/first/*.mcap
       levid check --preflight my-rig.yaml my-session.yaml --out /data/today
+      levid check --json *.yaml
     """
     from ..config.base import ConfigError
     from ..log.errors import LogError
 
     if before_flight:
-        return _preflight(files, rig_path, out)
-    bad = 0
+        return _preflight(files, rig_path, out, as_json)
+    results = []
     for path in files:
         try:
-            click.echo(f"{path}: {_check(path, rig_path)}")
+            found, usable = _check(path, rig_path), True
+            if not as_json:
+                click.echo(f"{path}: {found}")
         except (ConfigError, LogError) as error:
-            click.echo(f"{error}", err=True)
-            bad += 1
-    return 1 if bad else 0
+            found, usable = str(error), False
+            if not as_json:
+                click.echo(found, err=True)
+        results.append({"file": str(path), "usable": usable, "found": found})
+    if as_json:
+        click.echo(json.dumps({"files": results}))
+    return 0 if all(result["usable"] for result in results) else 1
 
 
-def _preflight(files: tuple[Path, ...], rig_path: Path | None, out: Path | None) -> int:
+def _preflight(
+    files: tuple[Path, ...], rig_path: Path | None, out: Path | None, as_json: bool
+) -> int:
     from ..config.load_any_kind import load_any
     from ..config.rig import RigConfig
     from ..config.session import SessionConfig
@@ -92,7 +107,8 @@ def _preflight(files: tuple[Path, ...], rig_path: Path | None, out: Path | None)
         rigs.append(rig_path)
     if len(rigs) > 1:
         raise click.UsageError(f"--preflight: expected one rig, found {len(rigs)}")
-    return preflight(rigs[0] if rigs else shipped("rigs/loopback.yaml"), sessions, out)
+    rig = rigs[0] if rigs else shipped("rigs/loopback.yaml")
+    return preflight(rig, sessions, out, as_json)
 
 
 def _check(path: Path, rig_path: Path | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +20,9 @@ if TYPE_CHECKING:
 _WORDS = {"passed": "ok", "failed": "FAILED", "unknown": "unknown"}
 
 
-def preflight(rig_path: Path, sessions: Sequence[Path], out: Path | None) -> int:
+def preflight(
+    rig_path: Path, sessions: Sequence[Path], out: Path | None, as_json: bool = False
+) -> int:
     """Print the checks of a rig and of sessions on it; return the exit code.
 
     A daemon that flies the rig is asked for what only it knows.
@@ -28,13 +31,17 @@ def preflight(rig_path: Path, sessions: Sequence[Path], out: Path | None) -> int
     from ..config.session import load_session
 
     rig = load_rig(rig_path)
-    findings = rig_findings(rig, rig_path)
-    _print(str(rig_path), findings)
+    findings = {str(rig_path): rig_findings(rig, rig_path)}
     for path in sessions:
-        found = session_findings(load_session(path), path, rig, rig_path, out or Path())
-        _print(str(path), found)
-        findings += found
-    return 1 if any(f.failed for f in findings) else 0
+        session = load_session(path)
+        findings[str(path)] = session_findings(session, path, rig, rig_path, out or Path())
+    if as_json:
+        as_objects = {name: [f.as_json() for f in found] for name, found in findings.items()}
+        click.echo(json.dumps(as_objects))
+    else:
+        for name, found in findings.items():
+            _print(name, found)
+    return 1 if any(f.failed for found in findings.values() for f in found) else 0
 
 
 def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -70,15 +71,16 @@ def _result(
     if rows:
         parts.append(Table("What differs from RIG.yaml", ("", "finding"), rows, labels=2))
     if written is not None:
+        copy = shlex.quote(str(written))
+        first = shlex.quote(str(written.with_stem(f"{written.stem}-first-lift")))
         parts.append(
             Steps(
                 (
                     ("Check the corrected rig and what the daemon asks before a lift-off",
-                     f"levid check {written} && levid check --preflight {written}"),
-                    ("Start the daemon with tight limits",
-                     f"levid run {written.with_stem(f'{written.stem}-first-lift')}"),
+                     f"levid check {copy} && levid check --preflight {copy}"),
+                    ("Start the daemon with tight limits", f"levid run {first}"),
                     ("Lift off for the first time, then land", "levid levitate && levid land"),
-                    ("From then on", f"levid run {written}"),
+                    ("From then on", f"levid run {copy}"),
                 )
             )
         )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -92,6 +93,29 @@ def test_preflight_fails_for_a_loop_near_its_limit(levid, tmp_path: Path) -> Non
     outcome = levid("check", "--preflight", missing)
     assert "FAILED  devices" in outcome.out
     assert f"no port {tmp_path / 'port'}" in outcome.out
+
+
+def test_check_as_json_has_one_object_a_file(levid, tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("levid: session\nname: wrong\nsteps: 3\n")
+    outcome = levid("check", "--json", shipped("models/rig.yaml"), wrong)
+    right, bad = json.loads(outcome.out)["files"]
+    assert outcome.code == 1
+    assert (right["usable"], bad["usable"], bad["file"]) == (True, False, str(wrong))
+    assert right["found"].startswith("model, 3 DOF")
+    assert "steps" in bad["found"]
+
+
+@pytest.mark.usefixtures("no_daemon")
+def test_preflight_as_json(levid, tmp_path: Path) -> None:
+    session = tmp_path / "short.yaml"
+    session.write_text(SESSION.replace("DURATION", "2"))
+    rig = shipped("rigs/loopback.yaml")
+    outcome = levid("check", "--preflight", "--json", rig, session, "--out", tmp_path)
+    found = json.loads(outcome.out)
+    assert found.keys() == {str(rig), str(session)}
+    outcomes = {f["check"]: f["outcome"] for f in found[str(session)]}
+    assert outcomes == {"motion": "passed", "disk": "passed"}
 
 
 def test_preflight_wants_rigs_and_sessions(levid) -> None:

@@ -45,13 +45,11 @@ test-long: $(DEV)
 # All tests of the two above, in two parts. .ci/run runs the first, one process that only computes, beside a virtual
 # machine: more would take it the processor's caches.
 test-beside: $(DEV)
-	@failed=0; \
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "long and not alone" || failed=$$?; \
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not alone and not long" tests/report && exit $$failed
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "long and not alone"
 
 test-rest: $(DEV)
 	@failed=0; \
-	$(IN_PARALLEL) -m "not alone and not long" --ignore tests/report || failed=$$?; \
+	$(IN_PARALLEL) -m "not alone and not long" || failed=$$?; \
 	$(BIN)/python -m pytest -m alone && exit $$failed
 
 test-rig: $(DEV)

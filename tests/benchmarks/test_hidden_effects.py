@@ -241,8 +241,13 @@ def test_each_case_loads_at_each_size(case) -> None:
     assert (case.kind == "unknown") == bool(case.signals)
 
 
+# Swapped channels are for `levid commission`: a flight ends at once. Play of the beam has no law.
+NOT_TRACED = {"wiring:Wiring", "bearing:BearingPlay"}
+
+
 def test_each_shipped_effect_is_in_the_zoo() -> None:
-    assert {f"levid.sim.effects.{use}" for use in shipped_effects()} == {c.use for c in CASES}
+    traced = {*shipped_effects()} - NOT_TRACED
+    assert {f"levid.sim.effects.{use}" for use in traced} == {c.use for c in CASES}
     scaled = [case for _, _, truth in SCALED.values() for case in truth]
     assert {case.kind for case in (*CASES, *scaled)} == CLASSES
 

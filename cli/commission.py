@@ -26,7 +26,8 @@ _COILS_A_WEIGHT = 14.0
     "--out",
     required=True,
     type=click.Path(path_type=Path),
-    help="Path of the corrected RIG.yaml, a new file; a page is written beside it.",
+    help="Path of the corrected RIG.yaml, a new file. Beside it: a copy with tight limits for the "
+    "first lift, and a page.",
 )
 @click.option(
     "--stroke-mm",
@@ -75,7 +76,8 @@ def command(
       levid commission my-rig.yaml --out my-rig-commissioned.yaml
       levid commission my-rig.yaml --out new.yaml --stroke-mm 2.0 --stops-mm 110 110
     """
-    from ..config.rig import load_rig
+    from ..config.base import parse_text
+    from ..config.rig import RigConfig, load_rig
     from ..daemon.api.socket_paths import listens, own_socket
     from ..daemon.commissioning.commission import Stops, commission
     from ..daemon.commissioning.corrections import (
@@ -108,12 +110,9 @@ def command(
     check_text(text, str(rig))
     writable_folder(folder, ("index.html",), ("figures",))
     weight_n = _weight_n(config)
-    push_n = min(force_n or weight_n / _COILS_A_WEIGHT, config.limits.coil_n)
-    if push_n > 0.25 * weight_n:
-        raise CommissionError(
-            f"--force-n: expected at most a quarter of the weight, {0.25 * weight_n:.3g} N: more "
-            f"could lift a corner; found {push_n:g} N"
-        )
+    parse_text(first_lift_text(text, config, weight_n), RigConfig, f"{rig}, with tighter limits")
+    push_n = _push_n(config, weight_n, force_n)
+    _check_beam(config, beam_mm)
     geometry = config.geometry
     half = (
         (1e-3 * stops_mm[0], 1e-3 * stops_mm[1])
@@ -154,6 +153,29 @@ def _weight_n(rig: RigConfig) -> float:
 
     law = feed_forward(rig, 1.0 / rig.rate_hz)
     return float(abs(law.wrench(np.zeros((1, 3)))[0, 2]))
+
+
+def _push_n(rig: RigConfig, weight_n: float, force_n: float | None) -> float:
+    """Return the force of one coil at a time in N; raises CommissionError if it could lift."""
+    from ..daemon.commissioning.errors import CommissionError
+
+    push_n = min(force_n or weight_n / _COILS_A_WEIGHT, rig.limits.coil_n)
+    if push_n > 0.25 * weight_n:
+        raise CommissionError(
+            f"--force-n: expected at most a quarter of the weight, {0.25 * weight_n:.3g} N: more "
+            f"could lift a corner; found {push_n:g} N"
+        )
+    return push_n
+
+
+def _check_beam(rig: RigConfig, beam_mm: float) -> None:
+    from ..daemon.commissioning.errors import CommissionError
+
+    most_mm = 1e3 * rig.limits.beam_m
+    if beam_mm > most_mm:
+        raise CommissionError(
+            f"--beam-mm: expected at most {most_mm:g} mm (limits.beam_m), found {beam_mm:g} mm"
+        )
 
 
 def _asker(session: DeviceSession) -> Ask:

@@ -42,15 +42,14 @@ def tilt_compliance(theta_per_n: Array, gain: Array, x_m: Array) -> float:
     return float(arm @ theta_per_n / (arm @ arm))
 
 
-def beam_direction(
-    tilts_rad: Array, moved_m: float, torque_n_m: float, compliance: float
-) -> BeamDirection:
+def beam_direction(tilts_rad: Array, torque_n_m: float, compliance: float) -> BeamDirection:
     """Return the direction of the beam from tilts (n,), each after a move minus that before it.
 
-    Moves go forth and back by moved_m, forth first. torque_n_m: torque that balances the weight
-    after a move forth, by the declared model; the platform tilts the other way without it.
+    Moves go forth and back, forth first. torque_n_m: torque that balances the weight after a move
+    forth, by the declared model; the platform tilts the other way without it. compliance: of the
+    stops, in rad per N m.
     """
     forth = tilts_rad * np.where(np.arange(len(tilts_rad)) % 2 == 0, 1.0, -1.0)
-    expected = -torque_n_m * compliance * np.sign(moved_m)
+    expected = -torque_n_m * compliance
     sd = forth.std(ddof=1) / np.sqrt(len(forth))
     return BeamDirection(float(forth.mean() / expected), float(sd / abs(expected)))

@@ -163,16 +163,17 @@ def _beam(
         return float((session.run(look).gap_m.mean(axis=0) @ decouple.T)[1])
 
     begin_m = session.beam_m
+    away_m = begin_m + (beam_m if begin_m <= 0.0 else -beam_m)  # inside its limits
     tilts = [tilt()]
     for number in range(2 * _BEAM_MOVES):
-        session.move_beam(begin_m + (beam_m if number % 2 == 0 else 0.0))
+        session.move_beam(away_m if number % 2 == 0 else begin_m)
         tilts.append(tilt())
     alive = ~coils.dead
     x_m = np.array(rig.geometry.coil_x_m)[coils.place]
     compliance = tilt_compliance(pose[alive, 1], coils.gain[alive], x_m[alive])
     law = feed_forward(rig, 1.0 / rig.rate_hz)
-    here, there = law.wrench(np.array([[begin_m, 0.0, 0.0], [begin_m + beam_m, 0.0, 0.0]]))
-    return beam_direction(np.diff(tilts), beam_m, float(there[1] - here[1]), compliance)
+    here, there = law.wrench(np.array([[begin_m, 0.0, 0.0], [away_m, 0.0, 0.0]]))
+    return beam_direction(np.diff(tilts), float(there[1] - here[1]), compliance)
 
 
 def _sensors(rig: RigConfig, held: Sequence[Held], moved_m: Array, stops: Stops) -> SensorOrder:

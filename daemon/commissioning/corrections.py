@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
+from ..control.watchdog_times import fall_s
 from .commission import Commissioned
 from .errors import CommissionError
 
@@ -17,9 +18,8 @@ _STROKE_OFF, _BEAM_OFF = 0.03, 0.2
 _HOVER, _WEIGHT, _ROOM = 2.5, 1.25, 0.5
 """Of a first lift: force of a coil over its share of the weight, all forces over the weight, tilt
 and speed over their limits."""
-_LIMITS = re.compile(r"^limits:[ \t]*(?:#.*)?\n(?:[ \t]+.*\n|[ \t]*\n)+", re.MULTILINE)
-_ARM_M, _FALL_M_S = 0.12, 0.13
-"""Arm of a tilt, and speed of a fall onto the stops, for a rig that limits neither."""
+_LIMITS = re.compile(r"^limits:[ \t]*(?:#.*)?\n(?:[ \t]+.*\n|#.*\n|[ \t]*\n)+", re.MULTILINE)
+_INDENT = re.compile(r"^([ \t]+)[^\s#]", re.MULTILINE)
 _SENSOR_OFF, _COIL_OFF = 0.02, 0.05
 """Relative scale errors that are corrected: well above what a hand at the stops gives, and what
 the response of the stops does."""
@@ -35,6 +35,12 @@ def problems(found: Commissioned) -> list[str]:
             for i in _at(found.sensors.dead & ~found.stuck)
         ),
         *(f"coil {i} moves the platform too little, or not at all" for i in _at(found.coils.dead)),
+        *(
+            f"coil {i}: its measured force is that of channel {k}: check the wiring of the "
+            "current sensors, which RIG.yaml cannot correct"
+            for i, k in enumerate(found.readback)
+            if k not in (i, -1)
+        ),
         *(f"sensor {i} lies between two places of RIG.yaml" for i in _at(found.sensors.doubtful)),
         *(f"coil {i} acts between two places of RIG.yaml" for i in _at(found.coils.doubtful)),
         *(
@@ -86,12 +92,6 @@ def corrections(found: Commissioned) -> list[str]:
         *_moved("coil", found.coils.place),
         *_scaled("sensor", "reads", sensor_scale(found)),
         *_scaled("coil", "pushes", coil_scale(found)),
-        *(
-            f"coil {i}: its measured force is that of channel {k}: check the wiring of the "
-            "current sensors, which RIG.yaml cannot correct"
-            for i, k in enumerate(found.readback)
-            if k not in (i, -1)
-        ),
     ]
 
 
@@ -146,15 +146,17 @@ def first_lift_text(text: str, rig: RigConfig, weight_n: float) -> str:
     """Return the text of a RIG.yaml with limits for a first lift: half of the room, little force.
 
     The forces suffice to hover and to correct; a wrong sign that commissioning did not see ends the
-    lift-off before the platform is fast. Limits that are tighter already stay.
+    lift-off before the platform is fast. Limits that are tighter already stay. A rig that limits
+    neither tilt nor speed has room for that of the gap at the longest arm, and of a fall by it.
+    weight_n: of the platform in N.
     """
-    limits, coils = rig.limits, len(rig.geometry.coil_x_m)
-    hover_n = weight_n / coils
+    limits, geometry = rig.limits, rig.geometry
+    arm_m = max(map(abs, (*geometry.coil_x_m, *geometry.coil_y_m)))
     tight = {
-        "coil_n": _HOVER * hover_n,
+        "coil_n": _HOVER * weight_n / len(geometry.coil_x_m),
         "total_n": _WEIGHT * weight_n,
-        "tilt_rad": _ROOM * (limits.tilt_rad or limits.gap_m / _ARM_M),
-        "gap_m_s": _ROOM * (limits.gap_m_s or _FALL_M_S),
+        "tilt_rad": _ROOM * (limits.tilt_rad or limits.gap_m / arm_m),
+        "gap_m_s": _ROOM * (limits.gap_m_s or 2.0 * limits.gap_m / fall_s(rig)),
     }
     found = _LIMITS.search(text)
     assert found is not None
@@ -167,7 +169,8 @@ def first_lift_text(text: str, rig: RigConfig, weight_n: float) -> str:
             block = line.sub(rf"\g<1>{key}: {value:.4g}", block, count=1)
         else:
             head, _, rest = block.partition("\n")
-            block = f"{head}\n  {key}: {value:.4g}\n{rest}"
+            indent = _INDENT.search(rest)
+            block = f"{head}\n{indent[1] if indent else '  '}{key}: {value:.4g}\n{rest}"
     text = f"{text[: found.start()]}{block}{text[found.end() :]}"
     return f"# For the first lift only: tight limits, by levid commission.\n{text}"
 

@@ -43,8 +43,8 @@ class Readings:
 class DeviceSession:
     """Open devices as a context manager; every command is limited, and zero at the end.
 
-    most_n: largest force of a coil. most_total_n: largest sum of the absolute forces of all coils.
-    clock: waits until a time in s; the default sleeps, and does not where all is simulated here.
+    most_n: largest force of a coil in N. most_total_n: largest sum of the absolute forces of all
+    coils in N. Cycles come in real time, but where all is simulated in this process.
     """
 
     def __init__(self, context: Context, most_n: float, most_total_n: float) -> None:
@@ -61,8 +61,6 @@ class DeviceSession:
         self._begin_s = 0.0
         self.largest_n = 0.0
         """Largest force of a coil that was commanded so far."""
-        self.said: list[str] = []
-        """What the drivers found wrong with sensors."""
         loopback = {getattr(rig, role).backend for role in ("amplifiers", "sensors", "drives")}
         self._waits = loopback != {"loopback"}
         self.emulated = emulated(context)
@@ -70,8 +68,7 @@ class DeviceSession:
     def __enter__(self) -> Self:
         """Open the devices; raises DriverError or ConfigError."""
         if self._waits:
-            for warning in apply_realtime(self._context.rig.realtime):
-                self.said.append(warning)
+            apply_realtime(self._context.rig.realtime)  # where it may: a late cycle is repeated
         self._devices: Devices = open_devices(self._context)
         self._begin_s = time.monotonic()
         try:
@@ -107,8 +104,16 @@ class DeviceSession:
         return float(self._measured_beam[0])
 
     def move_beam(self, to_m: float) -> None:
-        """Move the beam gently to a position and wait until it is there."""
+        """Move the beam gently to a position in m and wait until it is there.
+
+        Raises DriverError if the position is beyond the limits.
+        """
         limits = self._context.rig.limits
+        if abs(to_m) > limits.beam_m:
+            raise DriverError(
+                f"beam: expected a position of at most {limits.beam_m:g} m (limits.beam_m), found "
+                f"{to_m:g} m"
+            )
         self._moves = list(
             point_to_point.move(
                 float(self._beam[0]),
@@ -160,10 +165,9 @@ class DeviceSession:
         for k in range(cycles):
             self._wait()
             devices.sync(self._cycle)
-            try:
+            # What a driver finds wrong with a reading shows in the reading, judged later.
+            with contextlib.suppress(SensorError):
                 devices.sensors.read(self._gap_m)  # a missing reading leaves the last one
-            except SensorError as error:  # the reading is there; what is wrong is found later
-                self.said.append(str(error))
             devices.amplifiers.read(self._coil_n)
             devices.drives.read(self._measured_beam, self._measured_rotor)
             gap[k], coil[k] = self._gap_m, self._coil_n

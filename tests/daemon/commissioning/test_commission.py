@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from levid.benchmarks.daemon.commissioned_rigs import (
     CHANNELS,
@@ -103,9 +106,37 @@ def test_corrected_rig_flies_where_the_wrong_one_does_not(tmp_path: Path) -> Non
         assert words in said
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_limits_of_a_first_lift_in_any_layout_of_the_block(tmp_path: Path) -> None:
+    text = """limits:  # of the lab
+    gap_m: 0.0008
+# tilt_rad is the default
+    coil_n: 9   # of the supply
+
+    beam_m: 0.1
+"""
+    rig = load_rig(rig_file(tmp_path, "loopback", Wiring(), 1))
+    none = {"gap_m": 8e-4, "coil_n": 9.0, "total_n": None, "tilt_rad": None, "gap_m_s": None}
+    rig = rig.model_copy(update={"limits": rig.limits.model_copy(update=none)})
+    found = yaml.safe_load(first_lift_text(f"{text}sensors: {{}}\n", rig, 90.0))["limits"]
+    arm_m = max(map(abs, (*rig.geometry.coil_x_m, *rig.geometry.coil_y_m)))
+    assert found["coil_n"] == 9  # tighter already
+    assert found["total_n"] == pytest.approx(1.25 * 90.0)
+    assert found["tilt_rad"] == pytest.approx(0.5 * 8e-4 / arm_m, rel=1e-3)
+    assert found["gap_m_s"] == pytest.approx(0.5 * np.sqrt(2.0 * 9.81 * 8e-4), rel=1e-3)
+    assert found["beam_m"] == 0.1
+
+
+def test_swapped_current_sensors_are_a_problem(tmp_path: Path) -> None:
+    _, found = commissioned(tmp_path, "loopback", Wiring(), 1)
+    assert not problems(found)
+    found = replace(found, readback=np.array([1, 0, *range(2, CHANNELS)]))
+    assert [line.split(":")[0] for line in problems(found)] == ["coil 0", "coil 1"]
+    assert not corrections(found)
+
+
+@pytest.mark.parametrize(("way", "begin_m"), [(1.0, 0.0), (-1.0, 0.0), (1.0, 0.09)])
 def test_beam_that_moves_the_wrong_way_is_a_problem(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: float
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: float, begin_m: float
 ) -> None:
     plain = LoopbackBackend.drives
 
@@ -128,8 +159,9 @@ def test_beam_that_moves_the_wrong_way_is_a_problem(
     with DeviceSession(Context(rig, 1e-3, tmp_path), FORCE_N, FORCE_N) as session:
         (backend,) = session.devices.backends
         assert isinstance(backend, LoopbackBackend)
+        session.move_beam(begin_m)
         found = commission(session, rig, STOPS, FORCE_N, backend.lift, lambda *_: None, beam_m=0.02)
-        assert session.beam_m == pytest.approx(0.0, abs=1e-6)  # it is where it was
+        assert session.beam_m == pytest.approx(begin_m, abs=1e-6)  # it is where it was
     assert found.beam is not None
     assert found.beam.sd < 0.05
     # Sensors and coils are known to a per cent each.
@@ -143,6 +175,8 @@ def test_no_command_exceeds_the_limit(tmp_path: Path) -> None:
         for force in (3.1 * np.eye(9)[0], 0.5 * np.ones(9), np.full(9, np.nan)):
             with pytest.raises(DriverError, match="expected at most 3 N a coil and 4 N in all"):
                 session.run(10, lambda _, f=force: f)
+        with pytest.raises(DriverError, match=r"at most 0.1 m \(limits.beam_m\), found 0.11 m"):
+            session.move_beam(0.11)
         assert session.largest_n == 0.0
         session.run(10, lambda _: 3.0 * np.eye(9)[4])
         found = session.run(20)
@@ -186,6 +220,9 @@ def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
     assert "a quarter of the weight" in levid(
         "commission", rig, "--out", tmp_path / "x.yaml", "--force-n", 30
     ).err  # fmt: skip
+    assert "at most 100 mm (limits.beam_m)" in levid(
+        "commission", rig, "--out", tmp_path / "x.yaml", "--beam-mm", 101
+    ).err  # fmt: skip
 
 
 def test_dead_channel_is_a_problem_and_no_rig_is_written(levid, tmp_path: Path) -> None:
@@ -212,6 +249,13 @@ def test_what_can_go_wrong_later_is_asked_before_anybody_lifts(levid, tmp_path: 
     outcome = levid("commission", blocks, "--out", tmp_path / "new.yaml")
     assert outcome.code == 1
     assert "coil_x_m: expected a list in brackets" in outcome.err
+    limits = yaml.safe_load(shipped_text())["limits"]
+    cut = re.sub(r"^limits:.*\n(?:[ #].*\n|\n)+", "", shipped_text(), flags=re.MULTILINE)
+    flow = tmp_path / "flow.yaml"
+    flow.write_text(f"{cut}\nlimits: {json.dumps(limits)}\n")
+    outcome = levid("commission", flow, "--out", tmp_path / "new.yaml")
+    assert outcome.code == 1
+    assert "limits: expected one key on a line" in outcome.err
     assert not (tmp_path / "new.yaml").exists()
 
 

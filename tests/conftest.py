@@ -33,7 +33,11 @@ _COMPUTE = (
     *("report", "sim", "wire", "daemon/control", "daemon/ipc", "daemon/service/test_service_files"),
     *("daemon/loop/test_flight_ends", "daemon/loop/test_virtual_flight"),
     *("daemon/planning/test_excitation", "daemon/planning/test_orthogonal_multisine"),
-    *("daemon/planning/test_plan.py", "daemon/recording/test_coil_heat_file"),
+    *(
+        "daemon/planning/test_plan.py",
+        "daemon/planning/test_long_records",
+        "daemon/recording/test_coil_heat_file",
+    ),
     *("benchmarks/test_coverage_and_largest_error", "benchmarks/test_log_rows_vs_commit"),
     *("benchmarks/test_simulated_unlisted_effects", "benchmarks/test_hidden_effects"),
     *("benchmarks/test_imported_plant_simulation", "benchmarks/test_search_numbers"),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import repeat
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,11 +14,19 @@ from ...config.session import Excitation
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+_WHITE_ROWS = 1 << 16
+_MOST_ROWS = 1 << 20
+"""Longest period of a multisine, and longest record whose noise is band-limited as a whole: a
+quarter of an hour at 1 kHz. A Fourier transform takes 40 MB for it."""
 _GROUP = 4  # a random grid omits one of each group of consecutive odd lines
 
 
-def signal(excitation: Excitation, cycles: int, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Return `cycles` samples (n,) of the excitation, in N m or N, without fading.
+def signal(
+    excitation: Excitation, cycles: int, rate_hz: float, rng: np.random.Generator
+) -> Iterator[Array]:
+    """Yield consecutive blocks (m,) of at least `cycles` samples, in N m or N, without fading.
+
+    A block is computed when it is asked for: a record of hours is never in memory as a whole.
 
     Raises:
         ConfigError: the band exceeds half the rate, or contains no line of the multisine.
@@ -26,18 +37,26 @@ def signal(excitation: Excitation, cycles: int, rate_hz: float, rng: np.random.G
             f"band_hz: expected at most half the rate, {rate_hz / 2:g} Hz, found {band[1]:g} Hz"
         )
     if excitation.signal == "multisine":
-        return _multisine(excitation, cycles, rate_hz, rng)
-    noise = excitation.level * rng.standard_normal(cycles)
-    return noise if band is None else _band_pass(noise, band, rate_hz, excitation.level)
+        yield from repeat(_multisine_period(excitation, rate_hz, rng))
+    elif band is not None:
+        yield from _band_limited(excitation.level, band, cycles, rate_hz, rng)
+    else:
+        for at in range(0, cycles, _WHITE_ROWS):
+            yield excitation.level * rng.standard_normal(min(_WHITE_ROWS, cycles - at))
 
 
-def fade(cycles: int, fade_s: float, rate_hz: float) -> Array:
-    """Return a window (n,): half-cosine from 0 to 1 over fade_s, then 1, then back to 0."""
-    window = np.ones(cycles)
+def fade(first: int, end: int, cycles: int, fade_s: float, rate_hz: float) -> Array:
+    """Return samples `first` to `end` of a window of `cycles` samples.
+
+    It rises from 0 to 1 over fade_s (half of a cosine), stays there, and falls back to 0.
+    """
+    window = np.ones(end - first)
     n = min(round(fade_s * rate_hz), cycles // 2)
-    if n:
-        window[:n] = 0.5 - 0.5 * np.cos(np.pi * np.arange(n) / n)
-        window[-n:] = window[:n][::-1]
+    rising, falling = np.arange(first, min(end, n)), np.arange(max(first, cycles - n), end)
+    if rising.size:
+        window[: rising.size] = 0.5 - 0.5 * np.cos(np.pi * rising / n)
+    if falling.size:
+        window[-falling.size :] = 0.5 - 0.5 * np.cos(np.pi * (cycles - 1 - falling) / n)
     return window
 
 
@@ -46,11 +65,19 @@ def excited_lines(
 ) -> NDArray[np.int_]:
     """Return the excited lines of a multisine as multiples of 1 / period_s, ascending.
 
-    `rng` draws the omitted lines of a random grid. Raises ConfigError if the band contains no line.
+    `rng` draws the omitted lines of a random grid.
+
+    Raises:
+        ConfigError: the period is too long, or the band contains no line.
     """
     assert excitation.period_s is not None
     assert excitation.band_hz is not None
     n = round(excitation.period_s * rate_hz)
+    if n > _MOST_ROWS:
+        raise ConfigError(
+            f"period_s: expected at most {_MOST_ROWS / rate_hz:.0f} s at {rate_hz:g} Hz, found "
+            f"{excitation.period_s:g} s"
+        )
     lines = np.arange(1, (n + 1) // 2)  # without the Nyquist line, whose phase is fixed
     freq_hz = lines * rate_hz / max(n, 1)
     lines = lines[(freq_hz >= excitation.band_hz[0]) & (freq_hz <= excitation.band_hz[1])]
@@ -94,12 +121,31 @@ def _band_pass(noise: Array, band: tuple[float, float], rate_hz: float, rms: flo
     return np.asarray(filtered * (rms / size))
 
 
-def _multisine(
-    excitation: Excitation, cycles: int, rate_hz: float, rng: np.random.Generator
-) -> Array:
+def _band_limited(
+    rms: float, band: tuple[float, float], cycles: int, rate_hz: float, rng: np.random.Generator
+) -> Iterator[Array]:
+    """Yield white noise without its lines outside of a band.
+
+    What is longer than a block is joined of independent blocks. Each fades into the next one with
+    weights whose squares add up to 1, so that the expected power is the same everywhere.
+    """
+    if cycles <= _MOST_ROWS:
+        yield _band_pass(rms * rng.standard_normal(cycles), band, rate_hz, rms)
+        return
+    joint = _MOST_ROWS // 4
+    rise = np.sin(np.pi / 2 * (np.arange(joint) + 0.5) / joint)
+    ending: Array | None = None
+    for _ in range(0, cycles, _MOST_ROWS - joint):
+        block = _band_pass(rms * rng.standard_normal(_MOST_ROWS), band, rate_hz, rms)
+        if ending is not None:
+            block[:joint] = rise * block[:joint] + rise[::-1] * ending
+        ending = block[-joint:].copy()
+        yield block[:-joint]
+
+
+def _multisine_period(excitation: Excitation, rate_hz: float, rng: np.random.Generator) -> Array:
     assert excitation.period_s is not None
-    n = round(excitation.period_s * rate_hz)
+    n = min(round(excitation.period_s * rate_hz), _MOST_ROWS)
     phases = 2 * np.pi * rng.random(n // 2 + 1)
-    lines = excited_lines(excitation, rate_hz, rng)
-    period = one_period(excitation, lines, np.exp(1j * phases[lines]), rate_hz)
-    return np.asarray(np.resize(period, cycles))
+    lines = excited_lines(excitation, rate_hz, rng)  # refuses a period that is longer
+    return one_period(excitation, lines, np.exp(1j * phases[lines]), rate_hz)

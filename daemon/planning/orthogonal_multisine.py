@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +20,15 @@ _GRID, _PHASES = 1, 2  # random streams: lines per session, phases per record
 def orthogonal_multisines(
     excitations: Sequence[Excitation],
     plan: Orthogonal,
-    fade_s: float,
     rate_hz: float,
     seed: int,
     record: int,
-) -> Array:
-    """Return (n, p) samples of p excitations in N m or N, without fading.
+) -> Iterator[Array]:
+    """Yield periods (n, p) of p excitations in N m or N, without fading.
 
-    Each realisation has p experiments of `plan.periods` periods; the last period continues for
-    `fade_s`. All records of a session have the same lines, drawn with `seed`; phases are drawn for
-    each `record` and realisation.
+    Each realisation has p experiments of `plan.periods` periods; the last period goes on without
+    end, which the fading at the end of a record needs. All records of a session have the same
+    lines, drawn with `seed`; phases are drawn for each `record` and realisation.
 
     At each line, the spectra of the p experiments of a realisation form a unitary matrix up to the
     levels: V[j, e] = A_j W[e, j] exp(i phi_j) exp(i psi_e) with W from `orthogonal_matrix`
@@ -41,19 +41,19 @@ def orthogonal_multisines(
     p = len(excitations)
     lines = excited_lines(excitations[0], rate_hz, np.random.default_rng([seed, _GRID]))
     W = orthogonal_matrix(p)
-    blocks: list[Array] = []
     for realisation in range(plan.realisations):
         rng = np.random.default_rng([seed, _PHASES, record, realisation])
         of_input, of_experiment = np.exp(2j * np.pi * rng.random((2, p, len(lines))))
         for e in range(p):
-            phasors = W[e][:, None] * of_input * of_experiment[e]
-            periods = [
-                one_period(excitation, lines, row, rate_hz)
-                for excitation, row in zip(excitations, phasors, strict=True)
-            ]
-            blocks.append(np.tile(np.stack(periods, axis=1), (plan.periods, 1)))
-    tail = blocks[-1][: round(fade_s * rate_hz)]
-    return np.concatenate([*blocks, tail])
+            period = np.stack(
+                [
+                    one_period(excitation, lines, W[e, j] * of_input[j] * of_experiment[e], rate_hz)
+                    for j, excitation in enumerate(excitations)
+                ],
+                axis=1,
+            )
+            yield from repeat(period, plan.periods)
+    yield from repeat(period)
 
 
 def orthogonal_cycles(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,8 +19,8 @@ from ..control.flight_segment import Segment, idle_segment
 from ..control.states import State
 from ..ipc.row_ring import ring_rows
 from . import point_to_point
-from .excitation import fade, signal
-from .orthogonal_multisine import orthogonal_cycles, orthogonal_multisines
+from .orthogonal_multisine import orthogonal_cycles
+from .record_excitation import RecordExcitation, cycles_of
 
 Array = NDArray[np.float64]
 
@@ -30,18 +30,23 @@ _JUDGED_S = 2.0
 MOST_CYCLES = 30_000_000
 """Longest record, and longest session of a daemon: 50 min at 10 kHz, arrays of several GB."""
 _FLYING = np.array([[1.0, 1.0, 1.0]])
-_AXIS = {"psi": 0, "theta": 1, "z": 2}
 
 
 @dataclass(frozen=True)
 class PlannedStep:
-    """Plan one step of a session; `segments()` computes its arrays, tens of MB for long records."""
+    """Plan one step of a session; `segments()` computes its arrays, GB for records of hours.
+
+    `excitation` computes that of a record block by block; it is None where nothing is excited, and
+    if the plan was read from a file. `beam_m` is where the beam is at the start of the step.
+    """
 
     index: int
     kind: Literal["levitate", "move", "record", "land"]
     name: str
     cycles: int
     segments: Callable[[], list[Segment]]
+    beam_m: float = 0.0
+    excitation: RecordExcitation | None = None
 
 
 @dataclass(frozen=True)
@@ -129,16 +134,19 @@ class _Planner:
         return Plan(self.session.name, self.rate_hz, tuple(steps))
 
     def step(self, step: Step, index: int, where: str) -> PlannedStep:
+        excitation, beam_m = None, self.beam_m
         if step.levitate is not None:
-            planned = self.levitate(step.levitate, where)
+            cycles, segments = self.levitate(step.levitate, where)
         elif step.move is not None:
-            planned = self.move(step.move, where)
+            cycles, segments = self.move(step.move, where)
         elif step.record is not None:
-            planned = self.record(step.record, index, where)
+            played = self.excitation(step.record, index, where)
+            cycles, segments = self.record(step.record, played, where)
+            excitation = played if step.record.excite else None
         else:
-            planned = self.land(step.land or Land())
+            cycles, segments = self.land(step.land or Land())
         name = step.record.name if step.record else step.kind
-        return PlannedStep(index, step.kind, name, *planned)
+        return PlannedStep(index, step.kind, name, cycles, segments, beam_m, excitation)
 
     def levitate(self, step: Levitate, where: str) -> tuple[int, Callable[[], list[Segment]]]:
         idle, settle = self.n(_IDLE_S), self.n(step.settle_s)
@@ -150,7 +158,7 @@ class _Planner:
             pushes = Pushes.of(check, self.coils, self.rate_hz)
             self.check_length(check, pushes, f"{where}.check_coils")
             pushed = pushes.excitation()
-            self.check_levels(self.no_v, pushed, beam, f"{where}.check_coils")
+            self.check_levels(float(np.abs(pushed).max()), beam, f"{where}.check_coils")
             flying = self.flying(State.LEVITATING, len(pushed), beam, rotor)
             checks = [replace(flying, coil_excitation=pushed, checks=pushes)]
 
@@ -196,33 +204,44 @@ class _Planner:
 
         return moving + settle, segments
 
-    def record(
-        self, step: RecordStep, index: int, where: str
-    ) -> tuple[int, Callable[[], list[Segment]]]:
-        n, settle = self.record_cycles(step), self.n(step.settle_s)
+    def excitation(self, step: RecordStep, index: int, where: str) -> RecordExcitation:
+        """Return the excitation of a record; raise ConfigError if the record is too long."""
+        n = self.record_cycles(step)
         if n > MOST_CYCLES:
             key = next(k for k in ("duration_s", "orthogonal", "each_s") if getattr(step, k))
             raise ConfigError(
                 f"{where}.{key}: expected at most {MOST_CYCLES / self.rate_hz:g} s at "
                 f"{self.rate_hz:g} Hz, found {n / self.rate_hz:g} s; fly several records"
             )
+        return RecordExcitation(
+            self.session, step, index, n, self.rate_hz, self.coils, self.source, where
+        )
+
+    def record(
+        self, step: RecordStep, excitation: RecordExcitation, where: str
+    ) -> tuple[int, Callable[[], list[Segment]]]:
+        n, settle = excitation.cycles, self.n(step.settle_s)
         beam_before, rotor_before = self.still()
-        beam, rotor = beam_before, rotor_before
-        if step.beam:
-            beam = self.beam_trajectory(step, n, where)
-        if step.rotor:
-            rotor = self.rotor_trajectory(step, n, where)
+        beam = self.beam_trajectory(step, n, where) if step.beam else None
+        rotor = self.rotor_trajectory(step, n, where) if step.rotor else None
         moves = bool(step.beam or step.rotor)
         state = State.MOVING if moves and not step.excite else State.EXCITING
 
         def segments() -> list[Segment]:
-            v, coil_excitation = self.excitation(step, index, n, where)
             return [
                 self.flying(State.LEVITATING, settle, beam_before, rotor_before),
-                Segment(state, n, v, coil_excitation, _FLYING, beam, rotor),
+                Segment(
+                    state,
+                    n,
+                    *excitation.arrays(),
+                    _FLYING,
+                    beam_before if beam is None else beam.setpoints(),
+                    rotor_before if rotor is None else rotor.setpoints(),
+                ),
             ]
 
-        self.check_levels(*self.excitation(step, index, n, where), beam, where)
+        peak_n = excitation.peak_n(self.T_coils)
+        self.check_levels(peak_n, beam_before if beam is None else beam.moves(), where)
         return settle + n, segments
 
     def land(self, step: Land) -> tuple[int, Callable[[], list[Segment]]]:
@@ -241,49 +260,6 @@ class _Planner:
             ]
 
         return ramp + release + idle, segments
-
-    def excitation(self, step: RecordStep, index: int, n: int, where: str) -> tuple[Array, Array]:
-        """Return v (n, 3) and coil excitation (n, C); a single row of zeros without excitation."""
-        v, coils = self.no_v, self.no_coils
-        signals = self.signals(step, index, n)
-        for position, name in enumerate(step.excite):
-            excitation = self.session.excitations[name]
-            try:
-                samples = step.scale * next(signals)
-            except ConfigError as error:
-                raise ConfigError(f"{self.source}: excitations.{name}.{error}") from None
-            samples *= fade(len(samples), step.fade_s, self.rate_hz)
-            begin = 0 if step.each_s is None else position * self.n(step.each_s)
-            during = slice(begin, begin + len(samples))
-            if excitation.input in _AXIS:
-                v = v if len(v) == n else np.zeros((n, 3))
-                v[during, _AXIS[excitation.input]] += samples
-            else:
-                coil = int(excitation.input.removeprefix("coil:"))
-                if coil >= self.coils:
-                    raise ConfigError(
-                        f"{where}: excitation '{name}': expected coil:0 .. coil:{self.coils - 1}, "
-                        f"found {excitation.input}"
-                    )
-                coils = coils if len(coils) == n else np.zeros((n, self.coils))
-                coils[during, coil] += samples
-        return v, coils
-
-    def signals(self, step: RecordStep, index: int, n: int) -> Iterator[Array]:
-        """Yield the samples of each excitation of a record, in its order; raises ConfigError."""
-        played = [self.session.excitations[name] for name in step.excite]
-        seed = self.session.seed
-        if step.orthogonal is not None:
-            yield from orthogonal_multisines(
-                played, step.orthogonal, step.fade_s, self.rate_hz, seed, index
-            ).T
-            return
-        if step.each_s is not None:  # each excitation fades out while the next one fades in
-            n = self.n(step.each_s) + self.n(step.fade_s)
-        for position, excitation in enumerate(played):
-            # One random stream per record and excitation: a new record does not change the others.
-            rng = np.random.default_rng([seed, index, position])
-            yield signal(excitation, n, self.rate_hz, rng)
 
     def record_cycles(self, step: RecordStep) -> int:
         if step.orthogonal is not None:
@@ -316,12 +292,11 @@ class _Planner:
                 "memory"
             )
 
-    def check_levels(self, v: Array, coil_excitation: Array, beam: Array, where: str) -> None:
-        """Raise ConfigError if weight plus excitation exceed the coil force limit."""
+    def check_levels(self, played: float, beam: Array, where: str) -> None:
+        """Raise ConfigError if weight and excitation (peak in N) exceed the coil force limit."""
         limit = self.rig.limits.coil_n
         weight = self.feed_forward.wrench(np.atleast_2d(beam))
         carried = float(np.max(np.abs(weight @ self.T_coils)))
-        played = _peak_force(v, self.T_coils) + float(np.max(np.abs(coil_excitation)))
         if not carried + played <= limit:  # nan is an error too
             raise ConfigError(
                 f"{where}: the excitation would saturate the coils: expected at most {limit:g} N "
@@ -330,8 +305,8 @@ class _Planner:
                 f"{played / max(limit - carried, 1e-9):.1f} or more"
             )
 
-    def beam_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
-        """Return the beam setpoints (n, 3) that repeat its waypoints."""
+    def beam_trajectory(self, step: RecordStep, n: int, where: str) -> point_to_point.Repeated:
+        """Return the beam's motion for n cycles, which repeats its waypoints."""
         legs = [
             self.beam_leg(
                 point.to_m,
@@ -343,14 +318,14 @@ class _Planner:
             for number, point in enumerate(step.beam)
         ]
         try:
-            setpoints = point_to_point.repeated(self.beam_m, legs, n, 1 / self.rate_hz)
+            repeated = point_to_point.Repeated(self.beam_m, legs, n, 1 / self.rate_hz)
         except ValueError as error:
             raise ConfigError(f"{where}.beam[0].to_m: {error}") from None
-        self.beam_m = float(setpoints[-1, 0])
-        return setpoints
+        self.beam_m = repeated.end
+        return repeated
 
-    def rotor_trajectory(self, step: RecordStep, n: int, where: str) -> Array:
-        """Return the rotor setpoints (n, 3) that repeat its waypoints."""
+    def rotor_trajectory(self, step: RecordStep, n: int, where: str) -> point_to_point.Repeated:
+        """Return the rotor's motion for n cycles, which repeats its waypoints."""
         limits = self.rig.limits
         legs: list[point_to_point.Leg] = []
         for number, point in enumerate(step.rotor):
@@ -365,11 +340,11 @@ class _Planner:
                 )
             )
         try:
-            setpoints = point_to_point.repeated(self.rotor_rad, legs, n, 1 / self.rate_hz)
+            repeated = point_to_point.Repeated(self.rotor_rad, legs, n, 1 / self.rate_hz)
         except ValueError as error:
             raise ConfigError(f"{where}.rotor[0].to_rad: {error}") from None
-        self.rotor_rad = float(setpoints[-1, 0])
-        return setpoints
+        self.rotor_rad = repeated.end
+        return repeated
 
     def beam_move(
         self, to_m: float, velocity: float | None, acceleration: float | None, where: str
@@ -434,7 +409,7 @@ class _Planner:
 
     def n(self, duration_s: float) -> int:
         """Return the cycles of a duration; at least one if it is positive."""
-        return max(round(duration_s * self.rate_hz), 1 if duration_s > 0.0 else 0)
+        return cycles_of(duration_s, self.rate_hz)
 
 
 def _check_limit(where: str, value: float | None, limit: float, unit: str) -> None:
@@ -446,13 +421,3 @@ def _smooth(n: int) -> Array:
     """Return n samples of a smooth step from 0 to 1 (minimum jerk)."""
     s = np.arange(1, n + 1) / n if n else np.zeros(0)
     return np.asarray(s**3 * (10.0 + s * (-15.0 + 6.0 * s)))
-
-
-def _peak_force(v: Array, T_coils: Array) -> float:
-    """Return the largest coil force in N caused by the wrench v (n, 3)."""
-    used = np.flatnonzero(v.any(axis=0))
-    if len(used) == 0:
-        return 0.0
-    if len(used) == 1:  # the usual case, computed with one product
-        return float(np.abs(v[:, used[0]]).max() * np.abs(T_coils[used[0]]).max())
-    return float(np.max(np.abs(v @ T_coils)))

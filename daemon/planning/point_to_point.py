@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,34 +57,58 @@ class Leg:
     dwell_s: float
 
 
-def repeated(start: float, legs: Sequence[Leg], n: int, Ts_s: float) -> Array:
-    """Return setpoints (n, 3) that start at `start` and repeat the legs for n cycles.
+class Repeated:
+    """Legs that start at `start` and repeat for `n` cycles.
 
     A move that would not end within n cycles is not started: the axis holds its position.
-
-    Raises ValueError if the first move takes more than n cycles.
     """
-    parts: list[Array] = []
-    length, at = 0, start
-    while length < n:
-        before = length
-        for leg in legs:
-            part = move(at, leg.to, leg.velocity, leg.acceleration, Ts_s)
-            if length + len(part) > n:
-                if not parts:
-                    raise ValueError(
-                        f"expected a move within the record's {n * Ts_s:g} s, found one of "
-                        f"{len(part) * Ts_s:g} s; move faster or record longer"
-                    )
-                return np.vstack([*parts, hold(at, n - length)])
-            dwell = min(round(leg.dwell_s / Ts_s), n - length - len(part))
-            parts += [part, hold(leg.to, dwell)]
-            length, at = length + len(part) + dwell, leg.to
-            if length == n:
-                break
-        if length - before <= len(legs):
-            break  # moves and dwells of zero length: hold for the rest
-    return np.vstack([*parts, hold(at, n - length)])
+
+    def __init__(self, start: float, legs: Sequence[Leg], n: int, Ts_s: float) -> None:
+        """Raise ValueError if the first move takes more than n cycles."""
+        self._start, self._legs, self._n, self._Ts_s = start, legs, n, Ts_s
+        self._moves: dict[tuple[float, int], Array] = {}
+        self.end = start
+        """Position at the end."""
+        for _, part, _ in self._walk():
+            self.end = float(part[-1, 0])
+
+    def moves(self) -> Array:
+        """Return the setpoints (m, 3) of the different moves, and the position before them."""
+        return np.vstack([hold(self._start, 1), *self._moves.values()])
+
+    def setpoints(self) -> Array:
+        """Return the setpoints (n, 3) of position, velocity and acceleration."""
+        setpoints = hold(self.end, self._n)
+        for at, part, dwell in self._walk():
+            end = at + len(part)
+            setpoints[at:end] = part
+            setpoints[end : end + dwell, 0] = part[-1, 0]
+        return setpoints
+
+    def _walk(self) -> Iterator[tuple[int, Array, int]]:
+        """Yield first cycle, setpoints and cycles of rest after it of each move."""
+        n, length, at = self._n, 0, self._start
+        while length < n:
+            before = length
+            for number, leg in enumerate(self._legs):
+                part = self._moves.get((at, number))
+                if part is None:
+                    part = move(at, leg.to, leg.velocity, leg.acceleration, self._Ts_s)
+                    self._moves[at, number] = part
+                if length + len(part) > n:
+                    if not length:
+                        raise ValueError(
+                            f"expected a move within the record's {n * self._Ts_s:g} s, found one "
+                            f"of {len(part) * self._Ts_s:g} s; move faster or record longer"
+                        )
+                    return
+                dwell = min(round(leg.dwell_s / self._Ts_s), n - length - len(part))
+                yield length, part, dwell
+                length, at = length + len(part) + dwell, leg.to
+                if length == n:
+                    return
+            if length - before <= len(self._legs):
+                return  # moves and dwells of zero length: hold for the rest
 
 
 def brake(position: float, velocity: float, acceleration: float, Ts_s: float) -> Array:

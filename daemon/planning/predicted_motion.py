@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
-from ...identification.subspace.simulation import simulate
+from ...identification.subspace.simulation import Simulation
 from ...model.controller import closed_loop, pi_controller
 from ...model.geometry import shape_matrix
 from ...model.second_order import StateSpace
-from ..control.flight_segment import Segment
 from ..control.loop_stability import declared_plant
 from ..control.preflight_findings import Check, Finding, Outcome
 from .plan import Plan
@@ -44,21 +43,19 @@ def predicted_motion(rig: RigConfig, plan: Plan) -> PredictedMotion | None:
     gap, tilt = (0.0, ""), (0.0, "")
     geometry = rig.geometry
     sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
-    loops: dict[float, StateSpace] = {}
+    coils = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    loops: dict[float, StateSpace | None] = {}
     for step in plan.steps:
-        if step.kind != "record":
+        if step.excitation is None:
             continue
-        for segment in step.segments():
-            wrench = _wrench(segment, rig)
-            if not wrench.any():
-                continue
-            beam_m = float(segment.beam[0, 0])
-            if beam_m not in loops:
-                loop = _loop(rig, beam_m, 1.0 / plan.rate_hz)
-                if loop is None:
-                    return None
-                loops[beam_m] = loop
-            pose = simulate(loops[beam_m], wrench)
+        if step.beam_m not in loops:
+            loops[step.beam_m] = _loop(rig, step.beam_m, 1.0 / plan.rate_hz)
+        loop = loops[step.beam_m]
+        if loop is None:
+            return None
+        simulation = Simulation(loop)
+        for block in step.excitation.blocks():
+            pose = simulation.respond(block.wrench(coils))
             gap = max(gap, (float(np.abs(pose @ sensors.T).max()), step.name))
             tilt = max(tilt, (float(np.abs(pose[:, :2]).max()), step.name))
     return PredictedMotion(*gap, *tilt)
@@ -85,13 +82,6 @@ def motion_finding(rig: RigConfig, plan: Plan) -> Finding:
         f"with the model, {', '.join(parts)}",
         f"lower the level of the excitation in step {worst}, or its share at low frequencies",
     )
-
-
-def _wrench(segment: Segment, rig: RigConfig) -> Array:
-    """Return the excitation of a segment as a wrench (n, 3), n = 1 where it is constant."""
-    geometry = rig.geometry
-    coils = segment.coil_excitation @ shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
-    return np.asarray(segment.v + coils)
 
 
 def _loop(rig: RigConfig, beam_m: float, period_s: float) -> StateSpace | None:

@@ -45,31 +45,48 @@ class InnovationModel:
 
 def simulate(model: StateSpace, u: Array, x0: Array | None = None) -> Array:
     """Return the response (N, m) to u (N, p) from state x0 (n,), zero unless given."""
-    n = len(model.A)
-    m, p = model.D.shape
-    rows = -(-len(u) // BLOCK) * BLOCK
-    padded = np.zeros((rows, p))
-    padded[: len(u)] = u
-    blocks = padded.reshape(-1, BLOCK * p)
-    # Powers of A: the effect of a block's initial state and inputs within and after the block.
-    powers = np.empty((BLOCK + 1, n, n))
-    powers[0] = np.eye(n)
-    for k in range(BLOCK):
-        powers[k + 1] = model.A @ powers[k]
-    observe = (model.C @ powers[:BLOCK]).reshape(BLOCK * m, n)
-    impulse = np.concatenate([model.D[None], model.C @ powers[: BLOCK - 1] @ model.B])
-    within = np.zeros((BLOCK, m, BLOCK, p))
-    for k in range(BLOCK):
-        within[k, :, : k + 1] = impulse[k::-1].transpose(1, 0, 2)
-    reach = (powers[BLOCK - 1 :: -1] @ model.B).transpose(1, 0, 2).reshape(n, BLOCK * p)
-    driven = blocks @ reach.T
-    x = np.empty((len(blocks), n))
-    state = np.zeros(n) if x0 is None else np.asarray(x0, float)
-    for k in range(len(blocks)):
-        x[k] = state
-        state = powers[BLOCK] @ state + driven[k]
-    y = blocks @ within.reshape(BLOCK * m, BLOCK * p).T + x @ observe.T
-    return np.asarray(y.reshape(-1, m)[: len(u)])
+    return Simulation(model, x0).respond(u)
+
+
+class Simulation:
+    """A model whose response to consecutive pieces of an input continues from piece to piece."""
+
+    def __init__(self, model: StateSpace, x0: Array | None = None) -> None:
+        n = len(model.A)
+        m, p = model.D.shape
+        # Powers of A: the effect of a block's initial state and inputs within and after the block.
+        powers = np.empty((BLOCK + 1, n, n))
+        powers[0] = np.eye(n)
+        for k in range(BLOCK):
+            powers[k + 1] = model.A @ powers[k]
+        self._observe = (model.C @ powers[:BLOCK]).reshape(BLOCK * m, n)
+        impulse = np.concatenate([model.D[None], model.C @ powers[: BLOCK - 1] @ model.B])
+        within = np.zeros((BLOCK, m, BLOCK, p))
+        for k in range(BLOCK):
+            within[k, :, : k + 1] = impulse[k::-1].transpose(1, 0, 2)
+        self._within = within.reshape(BLOCK * m, BLOCK * p)
+        self._reach = (powers[BLOCK - 1 :: -1] @ model.B).transpose(1, 0, 2).reshape(n, BLOCK * p)
+        self._over = powers[BLOCK]
+        self._size = m, p
+        self._state = np.zeros(n) if x0 is None else np.asarray(x0, float)
+
+    def respond(self, u: Array) -> Array:
+        """Return the response (N, m) to u (N, p).
+
+        Another piece may follow if N is a multiple of BLOCK: the last one is filled up with zeros.
+        """
+        m, p = self._size
+        rows = -(-len(u) // BLOCK) * BLOCK
+        padded = np.zeros((rows, p))
+        padded[: len(u)] = u
+        blocks = padded.reshape(-1, BLOCK * p)
+        driven = blocks @ self._reach.T
+        x = np.empty((len(blocks), len(self._state)))
+        for k in range(len(blocks)):
+            x[k] = self._state
+            self._state = self._over @ self._state + driven[k]
+        y = blocks @ self._within.T + x @ self._observe.T
+        return np.asarray(y.reshape(-1, m)[: len(u)])
 
 
 def free_response(model: StateSpace, rows: int) -> Array:

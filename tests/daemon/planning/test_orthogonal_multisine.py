@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 import pytest
 import yaml
@@ -34,16 +36,16 @@ def excitation(number: int = 0, **more: object) -> Excitation:
 
 def played(p: int, seed: int = 1, record: int = 5, **more: object) -> np.ndarray:
     """Two realisations as (realisation, experiment, period, sample, input)."""
-    v = orthogonal_multisines(
+    periods = orthogonal_multisines(
         [excitation(j, **more) for j in range(p)],
         Orthogonal(realisations=2, periods=PERIODS),
-        0.5,
         RATE_HZ,
         seed,
         record,
     )
-    assert len(v) == 2 * p * PERIODS * N + 250
-    return v[:-250].reshape(2, p, PERIODS, N, p)
+    found = list(islice(periods, 2 * p * PERIODS + 1))
+    np.testing.assert_array_equal(found.pop(), found[-1])  # while it fades out
+    return np.concatenate(found).reshape(2, p, PERIODS, N, p)
 
 
 @pytest.mark.parametrize("p", [1, 2, 3])

@@ -6,7 +6,6 @@ Each command is a process of its own, whose peak memory includes that of its chi
 from __future__ import annotations
 
 import io
-import json
 import os
 import re
 import signal
@@ -21,6 +20,7 @@ import pytest
 import scipy.io
 from mcap.records import Channel, Chunk, Header, Schema
 from mcap.writer import MCAP0_MAGIC
+from measured_command import levid
 from zstandard import ZstdCompressor
 
 from levid.log.writer import record_bytes
@@ -28,26 +28,6 @@ from levid.log.writer import record_bytes
 LIMIT_BYTES = 300e6
 CPU_S = 2.0
 SIGNALS = "levid: signals\nrate_hz: 100\ncolumns:\n- {column: a, name: a, unit: V, role: input}\n"
-
-
-# A process's peak memory includes that of its parent at the fork, so the parent is a small one.
-MEASURED = """
-import json, os, subprocess, sys
-process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-text = process.stderr.read().decode()
-_, status, used = os.wait4(process.pid, 0)
-print(json.dumps([os.waitstatus_to_exitcode(status), text, 1024 * used.ru_maxrss,
-                  used.ru_utime + used.ru_stime]))
-"""
-
-
-def levid(*arguments):
-    """Return exit code, error text, peak memory in bytes and processor time in s of a command."""
-    command = [sys.executable, "-m", "levid.cli.main", *map(str, arguments)]
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURED, *command], stdout=subprocess.PIPE, check=True
-    )
-    return json.loads(done.stdout)
 
 
 @pytest.fixture(scope="module")

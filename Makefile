@@ -27,30 +27,30 @@ help:
 demo: $(RUNTIME)
 	@$(BIN)/levid demo
 
-# Computational tests run in parallel, with one thread per process. Tests that depend on clocks,
-# processes or buses (marker `alone`) run afterwards, one at a time.
-IN_PARALLEL = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest \
+# Computational tests run in parallel, one thread each, on processor time that is left by the tests that depend on
+# clocks, processes or buses (marker `alone`), which run one at a time and wait most of it.
+IN_PARALLEL = OPENBLAS_NUM_THREADS=1 $(IDLE) $(BIN)/python -m pytest \
   --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+IDLE := $(shell chrt --idle 0 true 2> /dev/null && echo chrt --idle 0 || echo nice -n 19)
 
-test: $(DEV)
-	@failed=0; \
-	$(IN_PARALLEL) -m "not alone and not long" || failed=$$?; \
-	$(BIN)/python -m pytest -m "alone and not long" && exit $$failed
+test: COMPUTING = not alone and not long
+test: WAITING = alone and not long
+test-long: COMPUTING = long and not alone
+test-long: WAITING = long and alone
+test-rest: COMPUTING = not alone and not long
+test-rest: WAITING = alone
 
-test-long: $(DEV)
-	@failed=0; \
-	$(IN_PARALLEL) -m "long and not alone" || failed=$$?; \
-	$(BIN)/python -m pytest -m "long and alone" && exit $$failed
+test test-long test-rest: $(DEV)
+	@mkdir -p build
+	@$(IN_PARALLEL) -m "$(COMPUTING)" > build/$@.txt 2>&1 & computing=$$!; failed=0; \
+	$(BIN)/python -m pytest -m "$(WAITING)" || failed=$$?; \
+	echo "... and the tests that ran beside these:"; \
+	wait $$computing || failed=$$?; cat build/$@.txt; exit $$failed
 
-# All tests of the two above, in two parts. .ci/run runs the first, one process that only computes, beside a virtual
-# machine: more would take it the processor's caches.
+# `test` and `test-long` in two parts. .ci/run runs the first, one process that only computes, beside a virtual machine:
+# more would take it the processor's caches.
 test-beside: $(DEV)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "long and not alone"
-
-test-rest: $(DEV)
-	@failed=0; \
-	$(IN_PARALLEL) -m "not alone and not long" || failed=$$?; \
-	$(BIN)/python -m pytest -m alone && exit $$failed
 
 test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
+import sys
+import threading
+from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +19,7 @@ if TYPE_CHECKING:
     from ..config.rig import RigConfig
     from ..daemon.commissioning.commission import Ask, Commissioned
     from ..daemon.commissioning.device_session import DeviceSession
+    from ..daemon.commissioning.encoder_scales import Axis
 
 _COILS_A_WEIGHT = 14.0
 """Weight over the force of one coil: a corner is lifted only by half of the weight."""
@@ -52,6 +57,11 @@ _COILS_A_WEIGHT = 14.0
     default=20.0,
     help="How far the beam moves, gently, to find its direction; 0: not at all. Default: 20.",
 )
+@click.option(
+    "--measure",
+    is_flag=True,
+    help="Move beam and rotor and ask how far they went: measure with a ruler and a protractor.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")
 def command(
     rig: Path,
@@ -60,6 +70,7 @@ def command(
     stops_mm: tuple[float, float] | None,
     force_n: float | None,
     beam_mm: float,
+    measure: bool,
     as_json: bool,
 ) -> int:
     """Find order, sign and scale of the channels of RIG.yaml, and write a corrected copy.
@@ -126,7 +137,10 @@ def command(
         f"platform weighs {weight_n:.3g} N"
     )
     with DeviceSession(context, push_n, push_n) as session, progress("commissioning") as report:
-        found = commission(session, config, stops, push_n, _asker(session), report, 1e-3 * beam_mm)
+        measured = _measured if measure else None
+        found = commission(
+            session, config, stops, push_n, _asker(session), report, 1e-3 * beam_mm, measured
+        )
     wrong, corrected = problems(found), corrections(found)
     written = None if wrong else out
     page = commissioning_report(found, config, written, folder)
@@ -137,10 +151,10 @@ def command(
         load_rig(out)
         load_rig(first)
     if as_json:
-        summary = {**_as_json(found, wrong, corrected, written), "report": str(page)}
+        summary = {**_as_json(found, config, wrong, corrected, written), "report": str(page)}
         click.echo(json.dumps(summary))
     else:
-        _print(found, wrong, corrected, written)
+        _print(found, config, wrong, corrected, written)
         click.echo(f"report: {page}")
     return 1 if wrong else 0
 
@@ -194,8 +208,35 @@ def _asker(session: DeviceSession) -> Ask:
     return ask
 
 
+def _measured(axis: Axis, way: float) -> Future[float | None]:
+    """Ask how far an axis moved; a line without a number is None. The devices go on meanwhile."""
+    answer: Future[float | None] = Future()
+    factor, unit, where = (
+        (1e-3, "mm", "towards positive x")
+        if axis == "beam"
+        else (math.pi / 180.0, "degrees", "counter-clockwise, seen from above,")
+    )
+
+    def read() -> None:
+        try:
+            answer.set_result(factor * float(sys.stdin.readline().strip()))
+        except (ValueError, OSError):
+            answer.set_result(None)
+
+    say(
+        f"The {axis} moved by {way / factor:g} {unit}, says its encoder. Measure how far it went "
+        f"{where} in {unit} (negative: the other way), and type it; Enter: not measured."
+    )
+    threading.Thread(target=read, daemon=True).start()
+    return answer
+
+
 def _print(
-    found: Commissioned, wrong: list[str], corrected: list[str], written: Path | None
+    found: Commissioned,
+    rig: RigConfig,
+    wrong: list[str],
+    corrected: list[str],
+    written: Path | None,
 ) -> None:
     from ..daemon.commissioning.corrections import remarks
 
@@ -209,6 +250,14 @@ def _print(
         )
     if found.delay_cycles >= 0:
         click.echo(f"the amplifiers report a force {found.delay_cycles} cycles after its command")
+    late = found.height_delay
+    if late.sure:
+        click.echo(
+            "the heights follow a coil's command after "
+            f"{1e3 * late.mean_s:.3g} +- {2e3 * late.sd_s:.2g} ms"
+        )
+    if found.beam_delay is not None:
+        click.echo(f"the beam follows its setpoint after {1e3 * found.beam_delay.mean_s:.3g} ms")
     click.echo(f"largest force of a coil: {found.largest_n:.3g} N")
     if found.beam is not None:
         sure = f"{found.beam.ratio:.2f} +- {2 * found.beam.sd:.2f}"
@@ -219,7 +268,7 @@ def _print(
         click.echo("all channels are as RIG.yaml says")
     for line in wrong:
         click.echo(f"problem: {line}")
-    for line in remarks(found):
+    for line in remarks(found, rig):
         click.echo(f"remark: {line}")
     if written is None:
         say("No RIG.yaml was written: repair these channels, and commission again.")
@@ -231,7 +280,11 @@ def _print(
 
 
 def _as_json(
-    found: Commissioned, wrong: list[str], corrected: list[str], written: Path | None
+    found: Commissioned,
+    rig: RigConfig,
+    wrong: list[str],
+    corrected: list[str],
+    written: Path | None,
 ) -> dict[str, object]:
     from ..daemon.commissioning.corrections import coil_scale, remarks, sensor_scale
 
@@ -251,9 +304,12 @@ def _as_json(
             "scale": coil_scale(found),
             "measured": found.coils.gain.tolist(),
         },
-        "remarks": remarks(found),
+        "remarks": remarks(found, rig),
         "readback": found.readback.tolist(),
         "delay_cycles": found.delay_cycles,
+        "height_delay_s": {"mean": found.height_delay.mean_s, "sd": found.height_delay.sd_s},
+        "beam_delay_s": None if found.beam_delay is None else found.beam_delay.mean_s,
         "beam": None if found.beam is None else {"ratio": found.beam.ratio, "sd": found.beam.sd},
+        "encoders": {encoder.axis: encoder.scale for encoder in found.encoders},
         "largest_n": found.largest_n,
     }

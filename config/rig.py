@@ -320,6 +320,13 @@ class RigConfig(Strict):
         except ConfigError:
             return None
 
+    @property
+    def device_limits(self) -> Limits:
+        """The limits in the units of the amplifiers' commands, of which weak coils need more."""
+        least = min(map(abs, self.channels.coil_scale), default=1.0)
+        scaled = {key: getattr(self.limits, key) / least for key in ("coil_n", "coil_rate_n_s")}
+        return self.limits.model_copy(update=scaled)
+
     def on_bus(self, role: str) -> tuple[str, RoleOptions] | None:
         """Return backend and options of a role on a bus, None if its backend has no bus.
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..config.rig import Channels
+from ..config.base import ConfigError
+from ..config.rig import Channels, RigConfig
 from .base import Array, CoilAmplifiers, PositionSensors
 
 
@@ -20,6 +21,18 @@ def scaled_sensors(sensors: PositionSensors, channels: Channels) -> PositionSens
     if all(scale == 1.0 for scale in channels.sensor_scale):
         return sensors
     return _Sensors(sensors, np.array(channels.sensor_scale))
+
+
+def check_command_range(rig: RigConfig, most_n: float, whose: str) -> None:
+    """Raise ConfigError if a coil's largest command, with its scale, exceeds a range of most_n."""
+    found_n = rig.device_limits.coil_n
+    if found_n > most_n:
+        weak = found_n > rig.limits.coil_n
+        why = f", for {rig.limits.coil_n:g} N of the weakest coil (channels.coil_scale)"
+        raise ConfigError(
+            f"limits.coil_n: expected at most {most_n:g} N, the range of {whose}, found "
+            f"{found_n:g} N{why if weak else ''}"
+        )
 
 
 class _Amplifiers(CoilAmplifiers):

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..config.base import ConfigError, load_yaml
 from ..config.sim import SimConfig
-from ..sim.plant import Plant
-from ..sim.simulated_hand import hand
 from .base import Array, Backend, CoilAmplifiers, Context, ManipulatorDrives, PositionSensors
+
+if TYPE_CHECKING:
+    from ..sim.plant import Plant
 
 
 class LoopbackBackend(Backend):
@@ -37,6 +38,8 @@ class LoopbackBackend(Backend):
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:  # noqa: ARG002
         """Build the plant, at rest on its stops."""
+        from ..sim.plant import Plant  # compiled: whoever only checks a rig does not wait for it
+
         path, config = _sim_config(context)
         self._sim, self._plant = config, Plant(config, context.period_s, source=path)
         self._cycle: int | None = None
@@ -69,6 +72,8 @@ class LoopbackBackend(Backend):
 
     def lift(self, hold: str) -> None:
         """Let a simulated hand hold the platform from now on: see simulated_hand."""
+        from ..sim.simulated_hand import hand
+
         self._plant.push(hand(self._sim, hold))
 
     def close(self) -> None:

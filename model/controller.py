@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from .second_order import StateSpace
@@ -58,11 +57,13 @@ class Controller:
         reference (N, r), outputs y (N, n) and excitation v (N, p) by row; x0 (s,) is zero unless
         given.
         """
+        from .controller_kernels import run_rows  # numba would delay the start of a daemon
+
         w = np.ascontiguousarray(np.hstack([reference, y]), float)
         x = np.zeros(len(self.A)) if x0 is None else np.array(x0, float)
         u = np.empty((len(w), len(self.C)))
-        _run(self.A, self.B, self.C, self.D, self.L, self.low, self.high, w,
-             np.ascontiguousarray(v, float), x, u)  # fmt: skip
+        run_rows(self.A, self.B, self.C, self.D, self.L, self.low, self.high, w,
+                 np.ascontiguousarray(v, float), x, u)  # fmt: skip
         return u, x
 
     def state_from(self, reference: Array, y: Array, v: Array, u: Array) -> Array:
@@ -115,39 +116,3 @@ def closed_loop(plant: StateSpace, controller: Controller) -> Array:
     B_y, D_y = controller.by_output
     A = plant.A + plant.B @ D_y @ plant.C
     return np.block([[A, plant.B @ controller.C], [B_y @ plant.C, controller.A]])
-
-
-@njit(cache=True, nogil=True)
-def controller_row(A, B, C, D, L, low, high, w, v, x, following, u):  # type: ignore[no-untyped-def]
-    """Compute the commands u (p,) of one row, and advance the state x (s,) in place.
-
-    w (r + n,), v (p,); following (s,) is scratch.
-    """
-    s, p, m = len(x), len(v), len(w)
-    for i in range(s):
-        total = 0.0
-        for j in range(s):
-            total += A[i, j] * x[j]
-        for j in range(m):
-            total += B[i, j] * w[j]
-        following[i] = total
-    for i in range(p):
-        total = v[i]
-        for j in range(s):
-            total += C[i, j] * x[j]
-        for j in range(m):
-            total += D[i, j] * w[j]
-        u[i] = min(max(total, low[i]), high[i])
-        excess = u[i] - total
-        if excess != 0.0:
-            for j in range(s):
-                following[j] += L[j, i] * excess
-    for i in range(s):
-        x[i] = following[i]
-
-
-@njit(cache=True, nogil=True)
-def _run(A, B, C, D, L, low, high, w, v, x, u):  # type: ignore[no-untyped-def]
-    following = np.empty(len(x))
-    for k in range(len(w)):
-        controller_row(A, B, C, D, L, low, high, w[k], v[k], x, following, u[k])

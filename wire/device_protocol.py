@@ -111,7 +111,7 @@ _LIMITS = {
 
 def expected_parameters(rig: RigConfig, expire_cycles: int) -> dict[DeviceParameter, int]:
     """Return the value that a device of this rig must have of every parameter below CHALLENGE."""
-    geometry = rig.geometry
+    geometry, limits = rig.geometry, rig.device_limits
     return {
         DeviceParameter.PROTOCOL: PROTOCOL,
         DeviceParameter.COILS: len(geometry.coil_x_m),
@@ -119,7 +119,7 @@ def expected_parameters(rig: RigConfig, expire_cycles: int) -> dict[DeviceParame
         DeviceParameter.PERIOD_NS: round(1e9 / rig.rate_hz),
         DeviceParameter.EXPIRE_CYCLES: expire_cycles,
         **{
-            parameter: round(per_unit * getattr(rig.limits, key))
+            parameter: round(per_unit * getattr(limits, key))
             for parameter, (key, per_unit) in _LIMITS.items()
         },
     }
@@ -129,7 +129,7 @@ def check_limits_fit(rig: RigConfig, which: Sequence[DeviceParameter]) -> None:
     """Raise ConfigError for a limit that exceeds the 32 bits of a parameter."""
     for parameter in which:
         if parameter in _LIMITS:
-            check_limit_fits(rig.limits, *_LIMITS[parameter])
+            check_limit_fits(rig.device_limits, *_LIMITS[parameter])
 
 
 def check_limit_fits(limits: Limits, key: str, per_unit: float) -> None:

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from ...config.rig import RigConfig
 from ...model.geometry import shape_matrix
 from ..control.feed_forward import feed_forward
+from .answer_delays import Delay, Swings, delay_of_moves, delay_of_swings, swings
 from .beam_direction import BeamDirection, beam_direction, tilt_compliance
 from .coil_order import CoilOrder, coil_order
 from .device_session import DeviceSession, Readings
+from .encoder_scales import Axis, EncoderScale, Measure, encoder_scale
 from .errors import CommissionError
 from .resting_readings import Resting, clipped, resting
 from .sensor_order import Followed, SensorOrder, at_the_stops, on_the_way, sensor_order
@@ -28,6 +30,7 @@ _MOVED_SHARE, _STILL_SHARE = 0.1, 0.01
 """Changes over the stroke: from one held pose to the next, and within one."""
 _HAND_S = 180.0
 _BEAM_LOOK_S, _BEAM_MOVES = 0.5, 3
+_TURN_RAD = np.pi / 6.0
 _ACTED_SHARE = 0.97
 """Of the largest change of the measured force: one of 25 settled cycles without force is less."""
 _SD_OF_MAD = 1.4826
@@ -77,8 +80,9 @@ class Commissioned:
     """What was found: sensors, coils, and the delay of the amplifiers' answer in cycles.
 
     stuck (S,): sensors whose reading never changed. readback (C,): channel whose measured force
-    follows the command of each channel, -1 for none.
-    largest_n: largest force of a coil that was commanded. beam: None if it was not moved.
+    follows the command of each channel, -1 for none. largest_n: largest force of a coil that was
+    commanded. height_delay: of the heights after a coil's command. beam, beam_delay: None if the
+    beam was not moved. encoders: what was measured by hand.
     """
 
     resting: Resting
@@ -88,7 +92,10 @@ class Commissioned:
     readback: NDArray[np.int64]
     delay_cycles: int
     largest_n: float
+    height_delay: Delay
     beam: BeamDirection | None = None
+    beam_delay: Delay | None = None
+    encoders: tuple[EncoderScale, ...] = ()
 
 
 def commission(
@@ -99,11 +106,13 @@ def commission(
     ask: Ask,
     progress: Callable[[str, float], None],
     beam_m: float = 0.0,
+    measure: Measure | None = None,
 ) -> Commissioned:
     """Find order, sign and scale of all channels of a rig at rest on its lower stops.
 
     force_n: force of one coil at a time, up and down. beam_m: how far the beam moves, 0 for not at
-    all; the rest of the commissioning does without.
+    all; the rest of the commissioning does without. measure: asks how far beam and rotor moved;
+    None does not ask.
 
     Raises:
         CommissionError: the platform was not held as asked, or too few sensors follow it.
@@ -126,24 +135,35 @@ def commission(
     count = len(geometry.coil_x_m)
     pose, sd = np.zeros((count, 3)), np.zeros((count, 3))
     readback, delays = np.full(count, -1), []
+    late: list[Swings] = []
     for channel in range(count):
         progress(f"coil {channel}", 0.5 + 0.5 * channel / count)
         found = _pulsed(session, rate_hz, channel, count, force_n)
         # A push downwards may take a sensor to the end of its range.
         decouple = _decoupling(rig, sensors, ~(at_rest.clipped | clipped(found.gap_m)))
         pose[channel], sd[channel] = _pose_per_newton(found, channel, decouple, rate_hz)
+        late.append(_height_swings(found, decouple, pose[channel], sd[channel], rate_hz))
         readback[channel], delay = _answer(found, channel, force_n)
         delays += [delay] if delay is not None else []
     coils = coil_order(
         pose, np.median(sd, axis=0), np.array(geometry.coil_x_m), np.array(geometry.coil_y_m)
     )
-    beam = None
+    beam = beam_delay = None
     if beam_m and coils.place.max() >= 0:
         progress("beam", 0.95)
-        beam = _beam(session, rig, sensors, coils, pose, at_rest, beam_m)
+        beam, beam_delay = _beam(session, rig, sensors, coils, pose, at_rest, beam_m)
+    encoders: tuple[EncoderScale, ...] = ()
+    if measure is not None:
+        moves: tuple[tuple[Axis, float], ...] = (("beam", beam_m), ("rotor", _TURN_RAD))
+        encoders = tuple(
+            encoder_scale(session, axis, by, measure, rate_hz) for axis, by in moves if by
+        )
     typical = round(float(np.median(delays))) if delays else -1
     stuck = np.ptp(moved, axis=0) == 0.0
-    return Commissioned(at_rest, stuck, sensors, coils, readback, typical, session.largest_n, beam)
+    return Commissioned(
+        at_rest, stuck, sensors, coils, readback, typical, session.largest_n,
+        delay_of_swings(late), beam, beam_delay, encoders,
+    )  # fmt: skip
 
 
 def _beam(
@@ -154,8 +174,8 @@ def _beam(
     pose: Array,
     at_rest: Resting,
     beam_m: float,
-) -> BeamDirection:
-    """Move the beam forth and back and return what the tilt says of its direction."""
+) -> tuple[BeamDirection, Delay]:
+    """Move the beam forth and back; return what the tilt says of its direction, and its delay."""
     decouple = _decoupling(rig, sensors, ~at_rest.clipped)
     look = round(_BEAM_LOOK_S * rig.rate_hz)
 
@@ -164,16 +184,17 @@ def _beam(
 
     begin_m = session.beam_m
     away_m = begin_m + (beam_m if begin_m <= 0.0 else -beam_m)  # inside its limits
-    tilts = [tilt()]
+    tilts, moves = [tilt()], []
     for number in range(2 * _BEAM_MOVES):
-        session.move_beam(away_m if number % 2 == 0 else begin_m)
+        moves.append(session.move_beam(away_m if number % 2 == 0 else begin_m).beam)
         tilts.append(tilt())
     alive = ~coils.dead
     x_m = np.array(rig.geometry.coil_x_m)[coils.place]
     compliance = tilt_compliance(pose[alive, 1], coils.gain[alive], x_m[alive])
     law = feed_forward(rig, 1.0 / rig.rate_hz)
     here, there = law.wrench(np.array([[begin_m, 0.0, 0.0], [away_m, 0.0, 0.0]]))
-    return beam_direction(np.diff(tilts), float(there[1] - here[1]), compliance)
+    direction = beam_direction(np.diff(tilts), float(there[1] - here[1]), compliance)
+    return direction, delay_of_moves(moves)
 
 
 def _sensors(rig: RigConfig, held: Sequence[Held], moved_m: Array, stops: Stops) -> SensorOrder:
@@ -253,7 +274,7 @@ def _pulsed(
     return Readings(
         *(
             np.concatenate([getattr(pulse, part) for pulse in pulses])
-            for part in ("gap_m", "coil_n", "commanded_n")
+            for part in ("gap_m", "coil_n", "commanded_n", "beam")
         )
     )
 
@@ -275,6 +296,21 @@ def _pose_per_newton(
     middle = np.median(each, axis=0)
     sd = _SD_OF_MAD * np.median(np.abs(each - middle), axis=0)
     return middle, sd / np.sqrt(len(each))
+
+
+def _height_swings(
+    found: Readings, decouple: Array, per_n: Array, sd: Array, rate_hz: float
+) -> Swings:
+    """Return how the pose swings as a coil's force turns from up to down, in each pulse.
+
+    per_n, sd (3,): pose per newton of the coil and its noise: the direction that shows it best.
+    """
+    half = max(round(0.5 * _PULSE_S * rate_hz), 2)
+    settled = max(round(_SETTLED_SHARE * half), 1)
+    weights = per_n / sd**2
+    along = (found.gap_m @ decouple.T) @ (weights / np.linalg.norm(weights * sd))
+    parts = along.reshape(_PULSES, 2, half)[_acted(found, half, settled)]
+    return swings(parts[:, 1], parts[:, 0, -settled:].mean(axis=1), 1.0 / rate_hz)
 
 
 def _acted(found: Readings, half: int, settled: int) -> NDArray[np.bool_]:

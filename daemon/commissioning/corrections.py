@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...config.model import ModelConfig
 from ...config.rig import RigConfig
+from ...identification.greybox.declared_model_from_config import declared_model
 from ..control.watchdog_times import fall_s
 from .commission import Commissioned
 from .errors import CommissionError
@@ -18,6 +20,9 @@ _STROKE_OFF, _BEAM_OFF = 0.03, 0.2
 _HOVER, _WEIGHT, _ROOM = 2.5, 1.25, 0.5
 """Of a first lift: force of a coil over its share of the weight, all forces over the weight, tilt
 and speed over their limits."""
+_CYCLES = 2.0
+"""From a command to a reading: it acts from the next cycle on, which is read at its end."""
+_LATE_CYCLES, _SURE = 0.5, 4.0
 _LIMITS = re.compile(r"^limits:[ \t]*(?:#.*)?\n(?:[ \t]+.*\n|#.*\n|[ \t]*\n)+", re.MULTILINE)
 _INDENT = re.compile(r"^([ \t]+)[^\s#]", re.MULTILINE)
 _SENSOR_OFF, _COIL_OFF = 0.02, 0.05
@@ -53,10 +58,11 @@ def problems(found: Commissioned) -> list[str]:
             if found.beam is not None and found.beam.reversed
             else []
         ),
+        *filter(None, (encoder.problem for encoder in found.encoders)),
     ]
 
 
-def remarks(found: Commissioned) -> list[str]:
+def remarks(found: Commissioned, rig: RigConfig) -> list[str]:
     """Return what is worth knowing, and forbids nothing."""
     beam = found.beam
     return [
@@ -73,7 +79,28 @@ def remarks(found: Commissioned) -> list[str]:
             if beam is not None and beam.sure and abs(abs(beam.ratio) - 1.0) > _BEAM_OFF
             else []
         ),
+        *(
+            f"nobody measured how far the {encoder.axis} moved"
+            for encoder in found.encoders
+            if encoder.scale is None
+        ),
+        *_late(found, rig),
     ]
+
+
+def _late(found: Commissioned, rig: RigConfig) -> Iterator[str]:
+    """Yield a remark if heights answer at another time than the declared model says."""
+    model, delay = rig.model, found.height_delay
+    if not isinstance(model, ModelConfig) or not delay.sure:
+        return
+    at = declared_model(model).at()
+    declared_s = max(at.delay_s, 0.0) + max(at.lag_s, 0.0) + _CYCLES / rig.rate_hz
+    off_s = delay.mean_s - declared_s
+    if abs(off_s) > max(_LATE_CYCLES / rig.rate_hz, _SURE * delay.sd_s):
+        yield (
+            f"heights answer {1e3 * delay.mean_s:.3g} ms after a coil's command; the model's delay "
+            f"and lag make it {1e3 * declared_s:.3g} ms: the difference belongs to them"
+        )
 
 
 def common_scale(found: Commissioned) -> float:

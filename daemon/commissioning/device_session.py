@@ -33,11 +33,15 @@ _GENTLE = 0.1
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of n cycles: gap_m (n, S), coil_n (n, C) as measured, commanded_n (n, C)."""
+    """Readings of n cycles: gap_m (n, S), coil_n (n, C) as measured, commanded_n (n, C).
+
+    beam (n, 3): position and velocity that are set, and the measured position.
+    """
 
     gap_m: Array
     coil_n: Array
     commanded_n: Array
+    beam: Array
 
 
 class DeviceSession:
@@ -56,6 +60,7 @@ class DeviceSession:
         self._beam, self._rotor = np.zeros(3), np.zeros(3)
         self._measured_beam, self._measured_rotor = np.zeros(3), np.zeros(3)
         self._moves: list[Array] = []
+        self._turns: list[Array] = []
         self._holds = False  # until it is known where beam and rotor are
         self._cycle = 0
         self._begin_s = 0.0
@@ -103,8 +108,13 @@ class DeviceSession:
         """Position of the beam, as its drives measure it."""
         return float(self._measured_beam[0])
 
-    def move_beam(self, to_m: float) -> None:
-        """Move the beam gently to a position in m and wait until it is there.
+    @property
+    def rotor_rad(self) -> float:
+        """Angle of the rotor, as its drive measures it."""
+        return float(self._measured_rotor[0])
+
+    def move_beam(self, to_m: float) -> Readings:
+        """Move the beam gently to a position in m, wait until it is there, and return the readings.
 
         Raises DriverError if the position is beyond the limits.
         """
@@ -123,7 +133,21 @@ class DeviceSession:
                 self._context.period_s,
             )
         )
-        self.run(len(self._moves) + round(_SETTLE_S / self._context.period_s))
+        return self.run(len(self._moves) + round(_SETTLE_S / self._context.period_s))
+
+    def move_rotor(self, to_rad: float) -> Readings:
+        """Turn the rotor gently to an angle in rad, wait until it is there; see move_beam."""
+        limits = self._context.rig.limits
+        self._turns = list(
+            point_to_point.move(
+                float(self._rotor[0]),
+                to_rad,
+                _GENTLE * limits.rotor_velocity_rad_s,
+                _GENTLE * limits.rotor_acceleration_rad_s2,
+                self._context.period_s,
+            )
+        )
+        return self.run(len(self._turns) + round(_SETTLE_S / self._context.period_s))
 
     def run(
         self,
@@ -161,6 +185,7 @@ class DeviceSession:
     ) -> Readings:
         gap, coil = np.zeros((cycles, self._sensors)), np.zeros((cycles, self._coils))
         commanded, zero = np.zeros((cycles, self._coils)), np.zeros(self._coils)
+        beam = np.zeros((cycles, 3))
         devices = self._devices
         for k in range(cycles):
             self._wait()
@@ -176,14 +201,17 @@ class DeviceSession:
             devices.amplifiers.write(command)
             if self._moves:
                 self._beam[:] = self._moves.pop(0)
+            if self._turns:
+                self._rotor[:] = self._turns.pop(0)
+            beam[k] = self._beam[0], self._beam[1], self._measured_beam[0]
             if self._holds:
                 devices.drives.write(self._beam, self._rotor)
             if ended is not None and (k + 1) % every == 0:
-                so_far = Readings(gap[: k + 1], coil[: k + 1], commanded[: k + 1])
+                so_far = Readings(gap[: k + 1], coil[: k + 1], commanded[: k + 1], beam[: k + 1])
                 if ended(so_far):
                     return so_far
         devices.amplifiers.write(zero)
-        return Readings(gap, coil, commanded)
+        return Readings(gap, coil, commanded, beam)
 
     def _checked(self, force_n: NDArray[np.float64]) -> Array:
         size = np.abs(force_n)

@@ -10,7 +10,7 @@ from pathlib import Path
 from ...config.daemon_settings import Recording
 from ..control.preflight_findings import Check, Finding
 from .log_retention import Flight, delete_old_logs, size_of_logs
-from .planner import RefusedError, override_hint
+from .refused_request import RefusedError, override_hint
 
 _MOST_NAMED = 5
 

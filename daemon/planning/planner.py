@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from ...config.base import ConfigError, parse, parse_text
@@ -15,31 +14,9 @@ from ..control.states import State
 from .plan import MOST_CYCLES, Plan, plan_session, plan_steps
 from .plan_memory_file import PlannedRequest
 from .predicted_motion import motion_finding
-
-RELOADED = (
-    *(f"{may}_{who}" for may in ("allow", "stop", "watch") for who in ("users", "groups")),
-    "client_gone",
-)
-"""Keys of the rig's `service` that may change while the daemon runs."""
+from .refused_request import RELOADED, RefusedError, Situation, override_hint
 
 Request = Mapping[str, Any]
-
-
-class RefusedError(Exception):
-    """Report that a request is refused, and why."""
-
-
-@dataclass(frozen=True)
-class Situation:
-    """Describe the start of a plan: loop state, last setpoints of beam (m) and rotor (rad).
-
-    `coils_known`: whether all coils passed the coil check.
-    """
-
-    state: State
-    beam_m: float = 0.0
-    rotor_rad: float = 0.0
-    coils_known: bool = False
 
 
 class Planner:
@@ -182,12 +159,6 @@ class Planner:
             raise ConfigError(
                 f"rig {rig.name}: it differs from the rig of the daemon; restart the daemon with it"
             )
-
-
-def override_hint(*checks: Check) -> str:
-    """Return how a client flies in spite of failed checks, as the end of a refusal."""
-    options = " ".join(f"--override {check}" for check in checks)
-    return f". To fly all the same, at your own risk: {options}"
 
 
 def _override(request: Request) -> tuple[Check, ...]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from ..host.child_process import Child, module_of
 from .plan_memory_file import PlanFileError, PlannedRequest, memory_file, read_plan, read_refusal
-from .planner import RefusedError, Situation
 from .planner_process import CPU_S, ENDED, PLANNED, QUESTION, REFUSED, Ended, Question, Work
+from .refused_request import RefusedError, Situation
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 60.0
 _REPEAT_S = 60.0

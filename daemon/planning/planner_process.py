@@ -17,7 +17,7 @@ import traceback
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ...config.rig import RigConfig
 from ..control.states import State
@@ -27,7 +27,10 @@ from ..host.real_time_scheduling import set_process_name, signal_at_parent_death
 from .log_folder import make_folder
 from .plan import MOST_CYCLES
 from .plan_memory_file import memory_file, write_plan, write_refusal
-from .planner import Planner, Situation
+from .refused_request import Situation
+
+if TYPE_CHECKING:
+    from .planner import Planner
 
 PLANNED, REFUSED = 0, 3
 """Exit codes of a child; the result file holds the plan or the reason of the refusal."""
@@ -193,6 +196,8 @@ def main(end: str, parent: str) -> None:
     receive_signals()
     set_process_name("levid-planner")
     signal_at_parent_death(int(parent), signal.SIGKILL)
+    from .planner import Planner  # scipy, which the supervisor, an importer of this file, spares
+
     planner = Planner(RigConfig.model_validate_json(sys.stdin.buffer.read()))
     warm_up(planner)
     gc.collect()

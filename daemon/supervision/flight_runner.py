@@ -18,7 +18,7 @@ from ..ipc.row_ring import NO_LOG
 from ..ipc.shared_memory import SharedMemory
 from ..ipc.shared_status_words import ControlWords, Word
 from ..planning.plan import Plan, PlannedStep
-from ..planning.planner import RefusedError
+from ..planning.refused_request import RefusedError
 from ..recording.log_metadata import FlightResult, RecordingError, coil_check_warning
 from ..recording.log_router import LogFile
 from ..recording.recorder_link import RecorderLink

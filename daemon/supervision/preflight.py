@@ -15,11 +15,10 @@ from ...config.daemon_settings import Realtime
 from ...drivers.base import Context
 from ...drivers.open_backends import emulated
 from ..control.faults import Fault
-from ..control.loop_stability import loop_finding
 from ..control.preflight_findings import Check, Finding, Outcome, refusing
 from ..control.states import State
 from ..ipc.shared_status_words import Word
-from ..planning.planner import RefusedError, override_hint
+from ..planning.refused_request import RefusedError, override_hint
 
 if TYPE_CHECKING:
     from ...config.rig import RigConfig
@@ -31,11 +30,18 @@ _ENOUGH_S = 2.0
 
 
 class Preflight:
-    """Make the checks that need no session; the stability of the loop is computed once."""
+    """Make the checks that need no session."""
 
     def __init__(self, supervisor: Supervisor, rig: RigConfig, folder: Path) -> None:
         self._supervisor = supervisor
         self._context = Context(rig, 1.0 / rig.rate_hz, folder)
+        self._loop = Finding(Check.LOOP, Outcome.UNKNOWN, "not computed yet")
+
+    def compute(self) -> None:
+        """Compute the stability of the loop: once, at rest, while the devices are being opened."""
+        from ..control.loop_stability import loop_finding  # scipy, for which no process waits
+
+        rig = self._context.rig
         self._loop = loop_finding(rig, 1.0 / rig.rate_hz)
 
     def findings(self, timing: Mapping[str, Any] | None = None) -> list[Finding]:

@@ -16,8 +16,8 @@ from ..control.preflight_findings import Check
 from ..control.states import State
 from ..ipc.shared_status_words import Word
 from ..planning.plan_memory_file import PlannedRequest
-from ..planning.planner import RefusedError, Situation
 from ..planning.planner_process import Work
+from ..planning.refused_request import RefusedError, Situation
 from ..recording.log_metadata import log_metadata
 from ..recording.log_router import LogFile
 from ..recording.log_size import most_log_bytes

@@ -26,8 +26,8 @@ from ..host.resource_monitor import ResourceMonitor
 from ..host.wall_clock_jumps import ClockWatch
 from ..ipc.shared_memory import SharedMemory
 from ..ipc.shared_status_words import Word
-from ..planning.planner import RELOADED
 from ..planning.planner_link import PlannerLink
+from ..planning.refused_request import RELOADED
 from ..recording.coil_heat_file import HeatFile, state_folder
 from ..recording.fault_recorder import fault_folder
 from ..recording.log_metadata import attachments
@@ -184,6 +184,7 @@ class Supervisor:
             self._heat.start()
             self.control_words[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns()
             self._start_loop()
+            self.preflight.compute()
             waiting = True
             while not self._stopping:
                 self._tick()

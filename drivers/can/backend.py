@@ -22,6 +22,7 @@ from ...wire.device_protocol import AMPLIFIER_LIMITS, CYCLES, SENSOR_LIMITS, che
 from ...wire.int16_scaling import LARGEST
 from ..base import Context, FirstError, LinkError
 from ..bus_backend import AnswerTime, BusBackend
+from ..channel_scales import check_command_range
 from .amplifiers_and_adc import CanAmplifiers, CanSensors
 from .bus_link import CanLink
 from .canopen_drives import CanDrives
@@ -49,11 +50,8 @@ class CanBackend(BusBackend):
         check_limits_fit(context.rig, AMPLIFIER_LIMITS if role == "amplifiers" else SENSOR_LIMITS)
         frames = _frames(context, bus)
         largest_n = frames.setpoint.unit * LARGEST
-        if role == "amplifiers" and context.rig.limits.coil_n > largest_n:
-            raise ConfigError(
-                f"limits.coil_n: expected at most {largest_n:g} N, the range of the DBC's "
-                f"setpoints, found {context.rig.limits.coil_n:g} N"
-            )
+        if role == "amplifiers":
+            check_command_range(context.rig, largest_n, "the DBC's setpoints")
 
     @classmethod
     def emulated(cls, context: Context, role: str, options: dict[str, Any]) -> bool:  # noqa: ARG003

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ...config.base import ConfigError
 from ...config.buses import AmplifierOptions, SerialDriveOptions
 from ...config.rig import RigConfig
 from ...log.signals import Stale
@@ -37,6 +36,7 @@ from ..base import (
     PositionSensors,
 )
 from ..bus_backend import AnswerTime, BusBackend
+from ..channel_scales import check_command_range
 from ..force_quantiser import ForceQuantiser
 from ..reading_checks import SensorWatch, check_skew
 from .transaction import TransactionPort
@@ -59,11 +59,8 @@ class SerialBackend(BusBackend):
         """Check a role's options, port and limits; raises ConfigError."""
         context.rig.on_bus(role)
         check_limits_fit(context.rig, _LIMITS_OF[role])
-        if role == "amplifiers" and context.rig.limits.coil_n > FORCE_N * LARGEST:
-            raise ConfigError(
-                f"limits.coil_n: expected at most {FORCE_N * LARGEST:g} N, the range of the "
-                f"serial protocol, found {context.rig.limits.coil_n:g} N"
-            )
+        if role == "amplifiers":
+            check_command_range(context.rig, FORCE_N * LARGEST, "the serial protocol")
 
     @classmethod
     def emulated(cls, context: Context, role: str, options: dict[str, Any]) -> bool:  # noqa: ARG003

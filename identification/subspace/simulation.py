@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from ...model.second_order import StateSpace
 from ..nonparametric.block_qr import BLOCK_ROWS, triangle
@@ -173,6 +172,8 @@ def _input_regressors(model: StateSpace, u: Array) -> Iterator[Array]:
 
     The state of entry B[i, j] obeys x(k + 1) = A x(k) + e_i u_j(k); it passes from block to block.
     """
+    from scipy import signal  # its import takes a second, which a daemon would wait for
+
     m, n = model.C.shape
     states = free_response(replace(model, C=np.eye(n), D=np.zeros((n, 0))), BLOCK_ROWS)
     block_power = states[-1] @ model.A

@@ -33,14 +33,18 @@ def commissioning_report(
         out_dir,
         f"Commissioning of {rig.name}",
         [
-            Section("Result", tuple(_result(found, wrong, corrected, written))),
+            Section("Result", tuple(_result(found, rig, wrong, corrected, written))),
             Section("Channels", tuple(_channels(found, rig))),
         ],
     )
 
 
 def _result(
-    found: Commissioned, wrong: Sequence[str], corrected: Sequence[str], written: Path | None
+    found: Commissioned,
+    rig: RigConfig,
+    wrong: Sequence[str],
+    corrected: Sequence[str],
+    written: Path | None,
 ) -> list[Text | Figures | Table | Steps]:
     if wrong:
         lead = f"{_count(len(wrong), 'channel')} must be repaired before this rig can fly."
@@ -59,6 +63,15 @@ def _result(
                     f"{found.delay_cycles} cycles" if found.delay_cycles >= 0 else "unknown",
                     "from a command to its measured force",
                 ),
+                Number(
+                    _ms(found.height_delay.mean_s) if found.height_delay.sure else "unknown",
+                    "from a command to the heights",
+                ),
+                *(
+                    [Number(_ms(found.beam_delay.mean_s), "from the beam's setpoint to its place")]
+                    if found.beam_delay is not None
+                    else []
+                ),
             )
         ),
     ]
@@ -66,7 +79,7 @@ def _result(
     rows = (
         *(("problem", line) for line in wrong),
         *((done, line) for line in corrected),
-        *(("remark", line) for line in remarks(found)),
+        *(("remark", line) for line in remarks(found, rig)),
     )
     if rows:
         parts.append(Table("What differs from RIG.yaml", ("", "finding"), rows, labels=2))
@@ -177,6 +190,10 @@ def _drawn(
         state = "problem" if dead or doubtful[channel] else state
         found.append(Drawn(channel, x_m[at], y_m[at], state))
     return found
+
+
+def _ms(time_s: float) -> str:
+    return f"{1e3 * time_s:.3g} ms"
 
 
 def _place(place: int, channel: int) -> str:

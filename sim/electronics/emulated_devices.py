@@ -79,7 +79,8 @@ class Core:
         self.injected = Injected()
         self._sim, self._plant = sim, Plant(sim, self.period_s, source=source)
         self._range_m = sim.sensors.range_m
-        self._limit_n, self._step_n = rig.limits.coil_n, rig.limits.coil_rate_n_s * self.period_s
+        limits = rig.device_limits
+        self._limit_n, self._step_n = limits.coil_n, limits.coil_rate_n_s * self.period_s
         self._expire = expire_cycles
         self._rng = np.random.default_rng(sim.seed)
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from levid.config.base import ConfigError
-from levid.config.rig import RigConfig, load_rig
+from levid.config.rig import Channels, RigConfig, load_rig
 from levid.config.shipped import shipped
 from levid.drivers.base import Context
 from levid.drivers.open_backends import check_backends
@@ -50,3 +50,17 @@ def test_shipped_rigs_tell_their_limits() -> None:
     told = expected_parameters(load_rig(shipped("rigs/serial.yaml")), 5)
     assert told[DeviceParameter.PROTOCOL] == PROTOCOL
     assert all(0 <= value < 2**32 for value in told.values())
+
+
+@pytest.mark.parametrize(("kind", "most"), [("serial", "the serial protocol"), ("can", "DBC")])
+def test_weak_coil_needs_more_of_the_range(kind: str, most: str) -> None:
+    """A coil that gives half of its command is commanded twice the force, as fast."""
+    found = rig(kind, coil_n=20.0, coil_rate_n_s=1e4)
+    weak = Channels(coil_scale=(1.0,) * 8 + (-0.5,))
+    told = expected_parameters(found.model_copy(update={"channels": weak}), 5)
+    assert told[DeviceParameter.COIL_LIMIT_MN] == 40_000
+    assert told[DeviceParameter.COIL_RATE_N_S] == 20_000
+    weak = Channels(coil_scale=(1.0,) * 8 + (0.2,))
+    with pytest.raises(ConfigError, match="found 100 N, for 20 N of the weakest coil") as error:
+        checked(found.model_copy(update={"channels": weak}))
+    assert most in str(error.value)

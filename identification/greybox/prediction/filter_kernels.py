@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ....model.controller import controller_row
+from ....model.controller_kernels import controller_row
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from mcap.writer import MCAP0_MAGIC
 from levid.config.daemon_settings import Recording
 from levid.daemon.planning.log_folder import make_folder
 from levid.daemon.planning.log_retention import delete_old_logs
-from levid.daemon.planning.planner import RefusedError
+from levid.daemon.planning.refused_request import RefusedError
 
 DAY_S = 86_400.0
 NOW_S = 1.7e9

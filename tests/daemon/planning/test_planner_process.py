@@ -29,9 +29,10 @@ from levid.daemon.control.states import State
 from levid.daemon.host.child_process import Child
 from levid.daemon.ipc.shared_status_words import Word
 from levid.daemon.planning.plan_memory_file import PlanFileError, memory_file, read_plan, write_plan
-from levid.daemon.planning.planner import Planner, RefusedError, Situation
+from levid.daemon.planning.planner import Planner
 from levid.daemon.planning.planner_link import PlannerLink
 from levid.daemon.planning.planner_process import Work
+from levid.daemon.planning.refused_request import RefusedError, Situation
 from levid.daemon.supervision import request_handlers as requests_module
 from levid.daemon.supervision.request_handlers import Requests
 
@@ -455,7 +456,8 @@ from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.planning import planner_process
 from levid.daemon.host.process_confinement import Confinement
-from levid.daemon.planning.planner import Planner, RefusedError
+from levid.daemon.planning.planner import Planner
+from levid.daemon.planning.refused_request import RefusedError
 
 plan = Planner.plan
 

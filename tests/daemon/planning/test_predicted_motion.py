@@ -15,8 +15,9 @@ from levid.config.shipped import shipped
 from levid.daemon.control.states import State
 from levid.daemon.loop.virtual_session import fly_virtually
 from levid.daemon.planning.plan import plan_session
-from levid.daemon.planning.planner import Planner, RefusedError, Situation
+from levid.daemon.planning.planner import Planner
 from levid.daemon.planning.predicted_motion import motion_finding, predicted_motion
+from levid.daemon.planning.refused_request import RefusedError, Situation
 from levid.log.reader import read_log
 
 RIG_FILE = shipped("rigs/loopback.yaml")

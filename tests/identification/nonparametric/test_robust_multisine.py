@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +57,14 @@ def excitations(p: int, **more: object) -> list[Excitation]:
 def multisines(p: int, realisations: int, seed: int) -> np.ndarray:
     """Return orthogonal multisines; `seed` sets the phases, the lines are always the same."""
     plan = Orthogonal(realisations=realisations, periods=P)
-    return orthogonal_multisines(excitations(p), plan, 0.0, RATE_HZ, 1, seed)
+    return played(
+        orthogonal_multisines(excitations(p), plan, RATE_HZ, 1, seed), p * realisations * P
+    )
+
+
+def played(periods: Iterator[np.ndarray], n: int) -> np.ndarray:
+    """Return the first n periods, without the end that fades out."""
+    return np.concatenate(list(islice(periods, n)))
 
 
 def periodic(v: np.ndarray, y: np.ndarray, p: int, drop: int = 1) -> PeriodicRecord:
@@ -364,13 +373,17 @@ def test_incompatible_or_insufficient_records_are_rejected() -> None:
 def test_plant_identified_in_the_loop_agrees_with_the_truth(rig, x_b_m: float) -> None:
     """Two realisations with periods of 8 s, of which two count: 144 s in all."""
     R, periods, rate_hz = 2, 3, 1000.0
-    played = parse_text(
+    shipped_ones = parse_text(
         shipped("sessions/multisine-1khz.yaml").read_bytes(), SessionConfig, "session"
     ).excitations
-    v = orthogonal_multisines(
-        [played[name] for name in ("psi", "theta", "z")],
-        Orthogonal(realisations=R, periods=periods), 0.0, rate_hz, 1, 0,
-    )  # fmt: skip
+    multisines = orthogonal_multisines(
+        [shipped_ones[name] for name in ("psi", "theta", "z")],
+        Orthogonal(realisations=R, periods=periods),
+        rate_hz,
+        1,
+        0,
+    )
+    v = played(multisines, 3 * R * periods)
     y, u = rig.simulate(rig.sampled_plant(x_b_m, 1 / rate_hz), v, seed=3)
 
     def cut(x: np.ndarray) -> np.ndarray:

@@ -64,6 +64,7 @@ _Case = TypeVar("_Case")
 ERRORS = (DaemonError, OSError, RuntimeError)
 """Errors of an attempt after which a rig is not usable."""
 _ATTEMPTS = 3
+_LAST_LINES = 6
 
 
 class NotInjectedError(Exception):
@@ -77,6 +78,8 @@ class Rig:
         self.bus, self.folder, self.flight = bus, folder, folder
         self.socket, self.file = folder / "levid.sock", folder / "rig.yaml"
         self.pids: dict[str, int] = {}
+        self.dying_s = 0.0
+        """Time that the kernel took to end the process that was killed last."""
         self._client: socket.socket | None = None
         self._processes = contextlib.ExitStack()
         self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
@@ -210,7 +213,11 @@ class Rig:
     def signalled(self, process: str, how: str) -> Iterator[int]:
         """Kill or stop a process, and let it continue afterwards; yields its number."""
         pid = self.pids[process]
+        begin_s = time.monotonic()
         os.kill(pid, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+        if how == "killed":
+            wait_for(lambda: not _runs(pid))
+        self.dying_s = time.monotonic() - begin_s
         try:
             yield pid
         finally:
@@ -252,6 +259,10 @@ class Rig:
         if self.until(usable) is None:
             raise RuntimeError(f"not usable after {clears} clears in {GIVE_UP_S:g} s")
         return clears
+
+    def last_words(self) -> str:
+        """Return the end of what daemon and electronics have printed."""
+        return " | ".join((self.folder / "errors.log").read_text().splitlines()[-_LAST_LINES:])
 
     def _all_gone(self) -> bool:
         return not any(map(_runs, self.pids.values()))

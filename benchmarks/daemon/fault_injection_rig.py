@@ -79,7 +79,7 @@ class Rig:
         self.socket, self.file = folder / "levid.sock", folder / "rig.yaml"
         self.pids: dict[str, int] = {}
         self.dying_s = 0.0
-        """Time that the kernel took to end the process that was killed last."""
+        """Time that the kernel took to end all threads of the supervisor that was killed last."""
         self._client: socket.socket | None = None
         self._processes = contextlib.ExitStack()
         self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
@@ -215,8 +215,8 @@ class Rig:
         pid = self.pids[process]
         begin_s = time.monotonic()
         os.kill(pid, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
-        if how == "killed":
-            wait_for(lambda: not _runs(pid))
+        if (process, how) == ("supervisor", "killed"):
+            wait_for(lambda: _parent(self.pids["loop"]) != pid, every_s=1e-3)
         self.dying_s = time.monotonic() - begin_s
         try:
             yield pid
@@ -268,13 +268,13 @@ class Rig:
         return not any(map(_runs, self.pids.values()))
 
 
-def wait_for(found: Callable[[], T], seconds: float = GIVE_UP_S) -> T | None:
+def wait_for(found: Callable[[], T], seconds: float = GIVE_UP_S, every_s: float = 0.02) -> T | None:
     """Return the first true value of a function, None on a timeout."""
     give_up_s = time.monotonic() + seconds
     while not (value := found()):
         if time.monotonic() > give_up_s:
             return None
-        time.sleep(0.02)
+        time.sleep(every_s)
     return value
 
 
@@ -338,6 +338,15 @@ def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
 def _rests(status: Status) -> bool:
     """Return whether the next flight may begin: a session ends when its last row is on disk."""
     return status["state"] == "IDLE" and status["fault"] == "NONE" and status["session"] is None
+
+
+def _parent(pid: int) -> int | None:
+    """Return the parent of a process, None if the process has ended."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return None
+    return int(stat[stat.rfind(")") + 2 :].split()[1])
 
 
 def _runs(pid: int) -> bool:

@@ -310,7 +310,12 @@ def _part(
     gain = psd[:, 0] / np.maximum(psd[:, 0] + psd[:, 1], 1e-300)
     size = float(np.sqrt(np.sum(gain * psd[:, 0]) / max(np.sum(gain * psd[:, 1]), 1e-300)))
     fitted, left = (denoised(v, gain, freq_hz, Ts_s) for v in (fitted, left))
-    return _Part(place, unit, fitted + mean, left, size if np.any(fitted) else 0.0, signals)
+    # The own signals pass the filter too: a gain stays a straight line over its command.
+    own = tuple(
+        PlottedSignal(x.name, x.unit, m + denoised(x.values - m, gain, freq_hz, Ts_s))
+        for x, m in ((x, float(x.values.mean())) for x in signals)
+    )
+    return _Part(place, unit, fitted + mean, left, size if np.any(fitted) else 0.0, own)
 
 
 def _sampled(

@@ -108,6 +108,7 @@ def _draw_phase(ax: Axes, curve: Curve, i: int, j: int) -> None:
     elif curve.deviation is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             spread = np.degrees(CONFIDENCE * curve.deviation[:, i, j] / np.abs(H))
+        spread = np.where(np.isnan(curve.deviation[:, i, j]), 0.0, spread)  # a band too narrow
     phase[~(spread < _NO_PHASE_DEG)] = np.nan
     line = phase.copy()
     line[1:][np.abs(np.diff(phase)) > 180] = np.nan

@@ -62,7 +62,7 @@ def worst_on_diagonal(curve: Curve, shown: Range) -> tuple[Worst, ...]:
 
     It is NaN if the ratio is missing at all frequencies.
     """
-    part = (curve.freq_hz >= shown.low_hz) & (curve.freq_hz <= shown.top_hz)
+    part = (curve.freq_hz >= shown.bottom_hz) & (curve.freq_hz <= shown.top_hz)
     out = []
     for i in range(min(curve.response.shape[1:])):
         f, H = curve.freq_hz[part], curve.response[part, i, i]
@@ -155,4 +155,4 @@ def deviation(
 
 def _draw_bound(ax: Axes, bound: float, shown: Range) -> None:
     for sign in (-1, 1):
-        ax.plot([shown.low_hz, shown.top_hz], [sign * bound] * 2, **BOUND.keywords())
+        ax.plot([shown.bottom_hz, shown.top_hz], [sign * bound] * 2, **BOUND.keywords())

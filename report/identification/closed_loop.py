@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...identification.results import ClosedLoopPoint
 from ..figures.response_deviation import AGREEMENT, Bounds, Worst, largest, worst_on_diagonal
 from ..plotting.html_page import Number, Text, Verdict
-from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, rig_or
+from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, shown_range
 from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
 
 Array = NDArray[np.float64]
@@ -92,12 +92,15 @@ def closed_loop_report(
     beams = [point.beam_m for point in points]
     labels = tuple(position_label(beam, beams) for beam in beams)
     lines = [line_of(k) for k in range(len(points))]
-    shown = rig_or(float(points[0].freq_hz[0]), float(points[0].freq_hz[-1]), signals)
+    modes_hz = [f for p in points for f, _ in modes_of(p)]
+    shown = shown_range(
+        float(points[0].freq_hz[0]), float(points[0].freq_hz[-1]), signals, modes_hz
+    )
     drawn = list(zip(points, labels, lines, strict=True))
     ho_kalman = tuple(
         Curve(label, line, p.freq_hz, p.from_ho_kalman)
         if p.trusted
-        else Curve(f"{label}, not to be trusted", DOUBTFUL, p.freq_hz, p.from_ho_kalman)
+        else Curve(f"{label}, not reliable", DOUBTFUL, p.freq_hz, p.from_ho_kalman)
         for p, label, line in drawn
     )
     measured = tuple(
@@ -127,29 +130,41 @@ def closed_loop_report(
     )
 
 
+def modes_of(point: ClosedLoopPoint) -> list[tuple[float, float]]:
+    """Return frequency in Hz and damping ratio of the modes of the plant by Ho-Kalman."""
+    poles = np.linalg.eigvals(point.plant.core.A)
+    with np.errstate(divide="ignore"):
+        s = np.log(poles.astype(complex)) / point.plant.core.Ts_s
+    return sorted(
+        (float(abs(x) / (2 * np.pi)), float(-x.real / abs(x)))
+        for x in s
+        if x.imag >= 0 and np.isfinite(x) and abs(x) > 0
+    )
+
+
 def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
     """Return the sentences of the summary."""
     main = next(iter(report.points[0].markov))
     smallest = min(p.order.ratio for p in report.points)
     found = (
-        f"The loop shows {_numbers(p.order.order for p in report.points)} main states: in the "
-        f"singular values by {ESTIMATOR.get(main, main)} they stand out by a factor of "
-        f"{factor(smallest)} at least. Without the controller's integrators the plant has "
-        f"{_numbers(len(p.plant.core.A) for p in report.points)}."
+        f"The loop has {_numbers(p.order.order for p in report.points)} main states (gap of the "
+        f"singular values by {ESTIMATOR.get(main, main)}: {factor(smallest)} or more). The plant "
+        f"has {_numbers(len(p.plant.core.A) for p in report.points)}; the others are the "
+        "controller's integrators."
     )
-    span = f"From {report.shown.low_hz:g} to {report.shown.top_hz:g} Hz on the diagonal of P"
+    span = f"From {report.shown.bottom_hz:g} to {report.shown.top_hz:g} Hz on the diagonal of P"
     agreement = "; ".join(_comparison(report, name) for name in report.ratios)
     texts = [Text(found)]
     for label, why in report.unreliable:
-        texts.append(Text(f"The model by Ho-Kalman, beam {label}, is not to be trusted: {why}."))
+        texts.append(Text(f"The model by Ho-Kalman at beam {label} is not reliable: {why}."))
     if report.unreliable and report.trusted:
-        texts.append(Text("What follows of this model holds at the other positions."))
+        texts.append(Text("The following figures of this model are of the other positions."))
     texts.append(Text(f"{span}, {agreement}."))
     fits = _fits(report)
     if fits.size:
         kept_back = (
-            "On the end of every record, which no estimate has seen, the model in its loop fits "
-            f"what was excited by {fits.min():.1f} to {fits.max():.1f} %, output by output."
+            "Held-out rows, simulated in the loop: the excited outputs fit by "
+            f"{fits.min():.1f} to {fits.max():.1f} %."
         )
         texts.append(Text(kept_back))
     return tuple(texts)
@@ -159,12 +174,10 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
     smallest = min(p.order.ratio for p in report.points)
     orders = _numbers(p.order.order for p in report.points)
-    meaning = f"main states, standing out by a factor of {factor(smallest)}"
+    meaning = f"main states; gap of the singular values {factor(smallest)}"
     numbers = [Number(orders, meaning, "none" if report.trusted else "doubt")]
     for label, why in report.unreliable:
-        numbers.append(
-            Number("not to be trusted", f"model by Ho-Kalman, beam {label}: {why}", "doubt")
-        )
+        numbers.append(Number("not reliable", f"model by Ho-Kalman, beam {label}: {why}", "doubt"))
     for name in report.ratios:
         first, second = name.split(" / ")
         if second != "truth" and report.truth:
@@ -176,15 +189,15 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
         verdict: Verdict = "good" if kept else "bad"
         if uses_ho_kalman(name) and report.unreliable:
             verdict = verdict if report.trusted else "doubt"
-            meaning += ", where it is to be trusted" if report.trusted else "; not to be trusted"
+            meaning += ", where it is reliable" if report.trusted else "; not reliable"
         numbers.append(Number(f"{decibel:.2f} dB, {degree:.1f}°", meaning, verdict))
     fits = _fits(report)
     if fits.size:
-        meaning = "least fit on data kept back"
+        meaning = "lowest fit on held-out data"
         if report.trusted:
             numbers.append(Number(f"{fits.min():.1f} %", meaning))
         else:
-            numbers.append(Number(f"{fits.min():.1f} %", f"{meaning}; not to be trusted", "doubt"))
+            numbers.append(Number(f"{fits.min():.1f} %", f"{meaning}; not reliable", "doubt"))
     return tuple(numbers)
 
 

@@ -15,7 +15,14 @@ from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table
 from ..plotting.labelled_frequency_responses import Curve
 from ..plotting.style import LineStyle, colour, line_of
-from .closed_loop import ESTIMATOR, METHOD, ClosedLoopReport, factor, uses_ho_kalman
+from .closed_loop import (
+    ESTIMATOR,
+    METHOD,
+    ClosedLoopReport,
+    factor,
+    modes_of,
+    uses_ho_kalman,
+)
 
 _MARKOV_SHOWN_S = 2.0
 _SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
@@ -24,10 +31,10 @@ _SUBSCRIPT = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 def closed_loop_sections(report: ClosedLoopReport) -> tuple[Section, ...]:
     """Return the sections on order, plant, agreement, and what else to check."""
     return (
-        Section("How many states", _order_parts(report)),
-        Section("The plant", _plant_parts(report)),
-        Section("How well it agrees", _agreement_parts(report)),
-        Section("What it rests on", _foundation_parts(report)),
+        Section("Model order", _order_parts(report)),
+        Section("Plant", _plant_parts(report)),
+        Section("Agreement of the methods", _agreement_parts(report)),
+        Section("Impulse response, coherence, controller", _foundation_parts(report)),
     )
 
 
@@ -45,16 +52,14 @@ def _order_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         for method in report.points[0].singular_values
     ]
     gaps = {s.title: min(gap(p.values, order) for p in s.positions) for s in spectra}
-    ratios = "; ".join(f"by {title} a factor of {factor(g)}" for title, g in gaps.items())
+    ratios = "; ".join(f"a factor of {factor(g)} by {title}" for title, g in gaps.items())
     picture = Picture(
         "singular-values",
-        to_svg(singular_values(spectra)),
+        to_svg(singular_values(spectra[:1])),  # the others are in the table
         f"Singular values of the Hankel matrix, logarithmic; the first {order} stand out.",
-        f"Singular values of the Hankel matrix of the loop, known delay and lag taken out. Between "
-        f"number {order} and the next lies {ratios}. {plant} states are the plant's and "
-        f"{order - plant} the controller's integrators; what is left is noise, which plain "
-        "correlation has far more of, since the rest of the response acts as noise on each of its "
-        "taps.",
+        "Singular values of the Hankel matrix of the loop, without the known delay and lag. Gap "
+        f"after number {order}: {ratios}. {plant} states belong to the plant and {order - plant} "
+        "to the controller's integrators; the smaller singular values are noise.",
         "Fig. 9",
     )
     rows = tuple(
@@ -76,13 +81,13 @@ def _order_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
 def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
     beneath = " The wide grey lines beneath are the simulator's truth." if report.truth else ""
     moved = (
-        " Where the beam is changes the inertia about θ and couples θ with z."
+        " The beam's position changes the inertia about θ and couples θ with z."
         if len(report.points) > 1
         else ""
     )
     scales = (
-        " All panels span the same decades, those off the diagonal placed at the geometric mean of "
-        "both diagonals: what lies low there couples little."
+        " All panels span the same number of decades. Off-diagonal panels are centred at the "
+        "geometric mean of both diagonals, so a low curve is a weak coupling."
     )
     states = len(report.points[0].plant.core.A)
     unreliable = _unreliable(report)
@@ -96,24 +101,24 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
             "Fig. 10",
         ),
         Picture(
-            "plant-sensitivity",
-            _magnitude(report, report.sensitivity),
-            "Bode magnitude of the plant from the input sensitivity, every input to every output.",
-            "Magnitude of P from the frequency response of the input sensitivity by (15) "
-            "corrected, without any model; bands hold 95 % of the estimate's error. What scatters "
-            f"lies below the noise.{beneath}",
-            "Fig. 12",
-        ),
-        Picture(
             "plant-phase",
             to_svg(
                 bode_phase(report.ho_kalman, report.signals, truth=report.truth, shown=report.shown)
             ),
             "Phase of the identified plant, every input to every output.",
-            "Phase of P by Ho-Kalman's algorithm. Beyond −180° it falls on by the delay of one "
-            f"cycle, the hold and the current loops, which belong to P here.{beneath}{unreliable}",
+            "Phase of P by Ho-Kalman's algorithm. P includes the delay of one cycle, the hold and "
+            f"the current loops, so the phase falls below −180°.{beneath}{unreliable}",
         ),
         _modes_table(report),
+        Picture(
+            "plant-sensitivity",
+            _magnitude(report, report.sensitivity),
+            "Bode magnitude of the plant from the input sensitivity, every input to every output.",
+            "Magnitude of P from the frequency response of the input sensitivity by (15) "
+            "corrected, without a model; the bands are 95 % intervals. Scattered values are below "
+            f"the noise.{beneath}",
+            "Fig. 12",
+        ),
     ]
     return tuple(parts)
 
@@ -147,7 +152,7 @@ def _agreement_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
             cells = (f"{w.decibel:.2f} dB, {w.degree:.1f}°" for w in worst)
             rows.append((name.replace(" / ", " against "), label, *cells))
     diagonal = [report.signals.path(i, i) for i in range(min(report.signals.shape))]
-    span = f"{report.shown.low_hz:g} to {report.shown.top_hz:g} Hz"
+    span = f"{report.shown.bottom_hz:g} to {report.shown.top_hz:g} Hz"
     head = ("compared", "beam", *diagonal)
     parts.append(Table(f"Largest differences from {span}", head, tuple(rows), labels=2))
     return tuple(parts)
@@ -174,17 +179,16 @@ def _foundation_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
             "markov-parameters",
             to_svg(markov_parameters(estimates, report.signals)),
             "Impulse response of the loop by both estimators, every input to every output.",
-            f"Markov parameters of the loop from v to y, beam {report.labels[middle]}: its impulse "
-            "response. Least squares accounts for the whole response at once; plain correlation "
-            "leaves the rest of it as noise on every tap.",
+            f"Impulse response (Markov parameters) of the loop from v to y, beam "
+            f"{report.labels[middle]}. Least squares estimates all of it at once; in "
+            "cross-correlation, the rest of the response is noise on each value.",
         ),
         Picture(
             "coherence",
             to_svg(coherence(coherences, report.signals, shown=report.shown)),
             "Coherence of the feedback with the excitation, every input to every output.",
-            "Share of the controller's feedback that the excitation explains. Near 1 the "
-            "sensitivity is well known; off the diagonal it falls where the coupling sinks below "
-            "the noise.",
+            "Coherence: share of the controller's feedback that the excitation explains. The "
+            "sensitivity is accurate where it is near 1.",
         ),
         _fits_table(report),
         _controller_table(report),
@@ -194,11 +198,7 @@ def _foundation_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
 def _modes_table(report: ClosedLoopReport) -> Table:
     rows = []
     for point, label in zip(report.points, _marked(report), strict=True):
-        poles = np.linalg.eigvals(point.plant.core.A)
-        with np.errstate(divide="ignore"):
-            s = np.log(poles.astype(complex)) / point.plant.core.Ts_s
-        modes = sorted((abs(x), -x.real / abs(x)) for x in s if x.imag >= 0 and abs(x) > 0)
-        cells = ", ".join(f"{w / (2 * np.pi):.2f} Hz (ζ {zeta:.3f})" for w, zeta in modes)
+        cells = ", ".join(f"{f:.2f} Hz (ζ {zeta:.3f})" for f, zeta in modes_of(point))
         rows.append((label, cells))
     return Table("Modes of the identified plant", ("beam", "frequency (damping)"), tuple(rows), 2)
 
@@ -211,8 +211,8 @@ def _fits_table(report: ClosedLoopReport) -> Table:
     ]
     outputs = (f"{name} %" for name in report.signals.output_symbols)
     caption = (
-        "Fit of the loop simulated from v alone, on rows that no estimate has seen; of an output "
-        "that a record hardly moves, noise is a larger part"
+        "Fit of the loop simulated from v alone, on held-out rows. An output that hardly moves has "
+        "a low fit"
     )
     return Table(caption, ("record", "beam", *outputs), tuple(rows), labels=2)
 
@@ -229,21 +229,21 @@ def _controller_table(report: ClosedLoopReport) -> Table:
             report.signals.output_symbols, controller.kp, controller.ki, strict=True
         )
     ]
-    caption = f"Controller used; known of the plant: delay of {known}, the hold's own included"
+    caption = f"Controller. Known part of the plant: delay of {known}, with that of the hold"
     return Table(caption, ("axis", "Kp", "Ki"), tuple(rows))
 
 
 def _marked(report: ClosedLoopReport) -> tuple[str, ...]:
     """Return the positions' labels; those with unreliable models are marked."""
     unreliable = {label for label, _ in report.unreliable}
-    return tuple(f"{x}, not to be trusted" if x in unreliable else x for x in report.labels)
+    return tuple(f"{x}, not reliable" if x in unreliable else x for x in report.labels)
 
 
 def _unreliable(report: ClosedLoopReport) -> str:
     """Return the end of a caption that names unreliable curves and the reasons."""
-    reasons = "; ".join(f"{label}, since {why}" for label, why in report.unreliable)
+    reasons = "; ".join(f"{label}, because {why}" for label, why in report.unreliable)
     hatched = "" if report.trusted else ", in hatched panels"
-    return f" Not to be trusted, grey and dotted{hatched}: {reasons}." if reasons else ""
+    return f" Not reliable, grey and dotted{hatched}: {reasons}." if reasons else ""
 
 
 def _digits(value: float) -> str:

@@ -7,15 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...identification.greybox.fitted_modes import fitted_modes
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.greybox.validation import Validation
 from ...identification.results import ClosedLoopPoint
-from ...identification.subspace.response_uncertainty import SURE_95
+from ...identification.subspace.response_uncertainty import SURE_95, Modes
 from ..figures.compute_fitted_response import Place, fitted_curves, places_of
 from ..figures.residuals import chance
 from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
 from ..plotting.html_page import Number, Text, Verdict
-from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, rig_or
+from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, shown_range
 from ..plotting.style import TRUTH, line_of
 from .closed_loop import HO_KALMAN, TRUTH_NAME, Truth
 
@@ -44,6 +45,15 @@ class GreyBoxReport:
     ho_kalman: tuple[Curve, ...]
     truth: tuple[Curve, ...]
     ratios: dict[str, tuple[Curve, ...]]
+    modes: tuple[Modes, ...]
+    """Modes of the fitted model at each place."""
+
+    @property
+    def explains(self) -> bool:
+        """Whether the fitted model leaves no more than noise, as far as these records show."""
+        least, tests = least_chance(self)
+        white = not tests or not least * tests < NOT_WHITE
+        return white and (self.worst is None or self.worst.over_noise <= NOISE_MOST)
 
     def bounds(self, name: str) -> Bounds:
         """Return the error bounds of a comparison."""
@@ -118,7 +128,9 @@ def grey_box_report(
     """
     places = places_of(grey, points)
     lowest = max((float(v.freq_hz[1]) for v in grey.validations if len(v.freq_hz) > 1), default=0.1)
-    shown = rig_or(lowest, 0.4 / grey.Ts_s, signals)
+    modes = tuple(fitted_modes(grey.fit, place.schedule) for place in places)
+    modes_hz = [f for m in modes for f in m.frequency_hz]
+    shown = shown_range(lowest, 0.4 / grey.Ts_s, signals, modes_hz)
     fitted = fitted_curves(grey, places, shown)
     by_beam = {p.beam_m: p for p in points if p.trusted}
     beside = [by_beam.get(place.beam_m) for place in places]
@@ -152,7 +164,7 @@ def grey_box_report(
             )
         )
         ratios[f"{FITTED} / {HO_KALMAN}"] = _ratios(there, pale)
-    return GreyBoxReport(grey, signals, places, shown, fitted, pale, truths, ratios)
+    return GreyBoxReport(grey, signals, places, shown, fitted, pale, truths, ratios, modes)
 
 
 def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
@@ -171,8 +183,8 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     texts += [f"Remark: {r}." for r in report.grey.remarks]
     if fit.at_bound:
         texts.append(
-            f"{', '.join(fit.at_bound)} ended at a bound of the model file: the standard error "
-            "there means little, and the bound is worth a look."
+            f"{', '.join(fit.at_bound)} ended at a bound of the model file. Its standard error is "
+            "not reliable; check the bound."
         )
     if report.grey.validations:
         texts.append(f"{_explained(report)} {_whiteness(report)}".strip())
@@ -180,10 +192,31 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
         error = error_text(largest(report.ratios[name], report.shown))
         against = "the simulator's truth" if name.endswith("truth") else "Ho-Kalman's algorithm"
         texts.append(
-            f"From {report.shown.low_hz:.3g} to {report.shown.top_hz:.3g} Hz on the diagonal of P "
-            f"the fitted model and {against} differ by at most {error}."
+            f"From {report.shown.bottom_hz:.3g} to {report.shown.top_hz:.3g} Hz, on the diagonal "
+            f"of P, the fitted model and {against} differ by at most {error}."
         )
     return tuple(Text(text) for text in texts)
+
+
+def grey_box_answer(report: GreyBoxReport) -> str:
+    """Return the answer: whether the fitted model explains the records, and its modes."""
+    name = report.grey.declared.name
+    middle = len(report.modes) // 2
+    modes = report.modes[middle]
+    at = f" at {report.places[middle].label}" if len(report.places) > 1 else ""
+    values = ", ".join(f"{f:.3g}" for f in modes.frequency_hz)
+    natural = f" Its natural frequencies{at} are {values} Hz." if len(modes.frequency_hz) else ""
+    worst = report.worst
+    error = "" if worst is None else f" ({worst.over_noise:.2f} times the noise)"
+    if report.explains:
+        return (
+            f"Use the fitted model '{name}': it explains these records down to the noise{error}."
+            f"{natural}"
+        )
+    return (
+        f"The fitted model '{name}' does not explain these records{error}: the plant has an effect "
+        f"that the model lacks.{natural}"
+    )
 
 
 def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
@@ -193,19 +226,19 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
     numbers = [
         Number(
             f"{free} of {free + held}",
-            f"parameters of '{report.grey.declared.name}' told by the records",
+            f"parameters of '{report.grey.declared.name}' determined by the records",
             "bad" if fit.at_bound else "none" if held else "good",
         )
     ]
     fits = [cell.fit_percent for cell in report.fits()]
     if fits:
-        numbers.append(Number(f"{min(fits):.2f} %", "least fit of the fitted model, simulated"))
+        numbers.append(Number(f"{min(fits):.2f} %", "lowest fit of the simulation, held-out rows"))
     if report.worst is not None:
         times = report.worst.over_noise
         numbers.append(
             Number(
                 f"{times:.2f}",
-                f"largest simulation error over what noise leaves; a perfect model's 1 ± "
+                f"times the noise: largest simulation error; of a perfect model 1 ± "
                 f"{SURE_95 * report.worst.spread:.2f}",
                 _good(times <= NOISE_MOST),
             )
@@ -216,7 +249,7 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
         numbers.append(
             Number(
                 "white" if white else "not white",
-                f"one-step-ahead errors, least p {chance(least)} of {tests} tests",
+                f"one-step-ahead errors, lowest p {chance(least)} of {tests} tests",
                 _good(white),
             )
         )
@@ -244,26 +277,26 @@ def least_chance(report: GreyBoxReport) -> tuple[float, int]:
 def _identifiability_words(report: GreyBoxReport) -> str:
     held = report.grey.fit.unidentifiable
     if not held:
-        return "The records tell all of them apart."
+        return "These records determine all of them."
     return " ".join(f"{u}." for u in held)
 
 
 def _explained(report: GreyBoxReport) -> str:
     fits, worst = report.fits(), report.worst
-    text = "On rows that the fit has not seen, simulated from excitation and schedule alone"
+    texts = []
     if fits:
         least = min(fits, key=lambda cell: cell.fit_percent)
-        text += (
-            f", every output that stands out of the noise fits by {least.fit_percent:.2f} % or "
-            f"more (least: {least.output} of {least.validation.record})"
+        texts.append(
+            "Held-out rows, simulated from excitation and schedule alone: every output well above "
+            f"the noise fits by {least.fit_percent:.2f} % or more (lowest: {least.output} of "
+            f"{least.validation.record})."
         )
-    if worst is None:
-        return f"{text}." if fits else ""
-    return (
-        f"{text}, {'and ' if fits else ''}no error exceeds {worst.over_noise:.2f} times what the "
-        f"noise alone would leave of a perfect model ({worst.output} of "
-        f"{worst.validation.record})."
-    )
+    if worst is not None:
+        texts.append(
+            f"The largest simulation error is {worst.over_noise:.2f} times the error that noise "
+            f"alone would leave ({worst.output} of {worst.validation.record})."
+        )
+    return " ".join(texts)
 
 
 def _whiteness(report: GreyBoxReport) -> str:
@@ -271,7 +304,7 @@ def _whiteness(report: GreyBoxReport) -> str:
     if not tests:
         return ""
     if least * tests >= NOT_WHITE:
-        return "One step ahead nothing is left but white noise."
+        return "One-step-ahead errors are white noise."
     names = report.signals.output_symbols
     failed = [
         f"{names[i]} of {v.record}"
@@ -281,8 +314,8 @@ def _whiteness(report: GreyBoxReport) -> str:
     ]
     shown = ", ".join(failed[:4]) + (f" and {len(failed) - 4} more" if len(failed) > 4 else "")
     return (
-        f"One-step-ahead errors are not white ({shown}): these records hold something that the "
-        "model does not, and standard errors are too small for it."
+        f"One-step-ahead errors are not white ({shown}): the model lacks something, and the "
+        "standard errors are too small."
     )
 
 

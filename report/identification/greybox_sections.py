@@ -14,7 +14,8 @@ from ...config.model import ModelConfig, ModelParameter
 from ...identification.greybox.fit import Fit
 from ...identification.greybox.identifiability import Unidentifiable
 from ...identification.greybox.validation import Validation
-from ..figures.bode import bode_magnitude
+from ...identification.subspace.response_uncertainty import SURE_95
+from ..figures.bode import bode_magnitude, bode_phase
 from ..figures.residuals import Residuals, chance, residual_correlation, residual_spectra
 from ..figures.response_deviation import bounds_text, deviation, error_text, largest
 from ..figures.simulated_outputs import Simulated, SimulatedOutput, simulated_outputs
@@ -31,15 +32,15 @@ _MOST_PICTURED = 3
 
 
 def grey_box_sections(report: GreyBoxReport) -> tuple[Section, ...]:
-    """Return the sections on parameters, response, simulation and residuals."""
+    """Return the sections on parameters and modes, response, simulation and residuals."""
     sections = [
-        Section("Parameters of the declared model", _parameter_parts(report)),
+        Section("Parameters and modes", _parameter_parts(report)),
         Section("Response of the fitted model", _response_parts(report)),
     ]
     if report.grey.validations:
         sections += [
             Section("Simulated against measured", _simulated_parts(report)),
-            Section("What the fitted model leaves", _residual_parts(report)),
+            Section("Remaining error", _residual_parts(report)),
         ]
     return tuple(sections)
 
@@ -56,14 +57,16 @@ def _parameter_parts(report: GreyBoxReport) -> tuple[Part, ...]:
         )
         for name, parameter in declared.parameters.items()
     )
-    head = ("parameter", "what it is", "unit", "declared", "fitted", "std. error")
+    head = ("parameter", "meaning", "unit", "declared", "fitted", "± 95 %")
     parts: list[Part] = [
         Table(
-            "Declared and fitted, SI units; changes in percent and in standard errors",
+            "Parameters in SI units, declared and fitted, with the change in percent and in "
+            "standard errors",
             (*head, "change %", "in s.e."),
             rows,
             labels=3,
-        )
+        ),
+        _modes_table(report),
     ]
     parts += [Text(f"{u}; {_if_fitted(u, declared)}.") for u in held.values()]
     return tuple(parts)
@@ -80,7 +83,7 @@ def _values(name: str, parameter: ModelParameter, fit: Fit) -> tuple[str, ...]:
     return (
         before,
         _to_error(after, error) + (" (at bound)" if name in fit.at_bound else ""),
-        _number(error, 2),
+        _number(SURE_95 * error, 2),
         _percent(100 * change / abs(parameter.value)) if parameter.value else "—",
         signed(change / error, 1) if error > 0 else "—",
     )
@@ -109,8 +112,31 @@ def _if_fitted(held: Unidentifiable, declared: ModelConfig) -> str:
         unit = declared.parameters[held.name].unit
         return f"fitted, its standard error would be {_number(held.standard_error, 2)} {unit}"
     if held.together_with:
-        return "what it does, these can do as well"
-    return "nothing in these records depends on it"
+        return "these have the same effect"
+    return "these records do not depend on it"
+
+
+def _modes_table(report: GreyBoxReport) -> Table:
+    rows = tuple(
+        (
+            place.label,
+            interval(m.frequency_hz[k], m.frequency_se_hz[k]),
+            interval(m.damping[k], m.damping_se[k]),
+        )
+        for place, m in zip(report.places, report.modes, strict=True)
+        for k in range(len(m.frequency_hz))
+    )
+    head = ("at", "natural frequency in Hz", "damping ratio ζ")
+    return Table("Modes of the fitted model, with 95 % intervals", head, rows)
+
+
+def interval(value: float, se: float) -> str:
+    """Return 'value ± half of its 95 % interval', both to the second digit of the latter."""
+    half = SURE_95 * se
+    if not (np.isfinite(half) and half > 0):
+        return f"{value:.4g}"
+    digits = max(1 - int(np.floor(np.log10(half))), 0)
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
 def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
@@ -130,7 +156,15 @@ def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
             "Bode magnitude of the fitted model, every input to every output.",
             f"Magnitude of P of the fitted model{beneath}. {_of_schedule(report)}{_bands(report)}",
             "Fig. 13",
-        )
+        ),
+        Picture(
+            "fitted-phase",
+            to_svg(
+                bode_phase(report.fitted, report.signals, truth=report.truth, shown=report.shown)
+            ),
+            "Phase of the fitted model, every input to every output.",
+            "Phase of P of the fitted model, with the delay, the hold and the actuators' lag.",
+        ),
     ]
     for number, (name, curves) in enumerate(report.ratios.items(), start=1):
         bounds = report.bounds(name)
@@ -149,13 +183,13 @@ def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
 
 
 def _of_schedule(report: GreyBoxReport) -> str:
-    return "One set of parameters holds everywhere. " if len(report.places) > 1 else ""
+    return "One set of parameters is valid at all positions. " if len(report.places) > 1 else ""
 
 
 def _bands(report: GreyBoxReport) -> str:
     if any(c.deviation is not None for c in report.fitted):
-        return "Bands hold 95 % of what the parameters' errors make."
-    return "What the parameters' errors make of it is thinner than the lines."
+        return "Bands: 95 % intervals from the parameters' errors."
+    return "The 95 % intervals from the parameters' errors are narrower than the lines."
 
 
 def _bode(report: GreyBoxReport, curves: Sequence[Curve]) -> Figure:
@@ -172,9 +206,9 @@ def _simulated_parts(report: GreyBoxReport) -> tuple[Part, ...]:
                 to_svg(simulated_outputs(_simulated(report, v))),
                 f"Measured and simulated outputs of record {v.record}, with the differences.",
                 f"The end of record {v.record}, simulated from {names or 'its schedule'} and the "
-                "excitation. The seconds before what is shown gave the state and the constant "
-                "force to start from; nothing else was measured of the outputs. Beneath each "
-                "output what is left of it, on a scale of its own, over the band of the noise.",
+                "excitation. The seconds before it give the initial state and the constant force; "
+                "no later output is used. Below each output: the error on its own scale, with the "
+                "noise as a band.",
                 "Fig. 14",
             )
         )
@@ -225,9 +259,9 @@ def _fits_table(report: GreyBoxReport) -> Table:
     head = ("record", *(h for name in names for h in (f"{name} fit %", "error / noise")))
     spreads = np.concatenate([v.floor_spread for v in report.grey.validations])
     caption = (
-        "Fit of the simulation, and its error over what noise alone would leave (a perfect model's "
-        f"scatters around 1 with a deviation of {_between(spreads)}); of an output that a record "
-        "hardly moves there is little to fit"
+        "Fit of the simulation, and its error over the error that noise alone would leave (of a "
+        f"perfect model 1, with a standard deviation of {_between(spreads)}). An output that "
+        "hardly moves has a low fit"
     )
     return Table(caption, head, rows)
 
@@ -260,16 +294,16 @@ def _residual_parts(report: GreyBoxReport) -> tuple[Part, ...]:
             "residual-spectrum",
             to_svg(residual_spectra(residuals, s.output_names, s.output_units)),
             "Spectra of the simulation's error and of the noise, every output.",
-            f"Error of the simulation and what noise alone would leave, of {which}. Where the "
-            "error rises over the noise the model misses something at that frequency.",
+            f"Error of the simulation and error that noise alone would leave, of {which}. The "
+            "model lacks something at frequencies where the error exceeds the noise.",
         ),
         Picture(
             "residual-correlation",
             to_svg(residual_correlation(residuals, s.output_names)),
             "Autocorrelation of one-step-ahead errors with the bound of white noise.",
-            "One-step-ahead errors of the same records: white where the model with its noise "
-            "explains them. p is the chance that white errors would look less white, by Ljung and "
-            "Box's test.",
+            "One-step-ahead errors of the same records. They are white if the model and its noise "
+            "explain the record. p: probability of a larger correlation by chance (Ljung-Box "
+            "test).",
         ),
         Table("Whiteness of one-step-ahead errors, p", ("record", *s.output_symbols), rows),
     )

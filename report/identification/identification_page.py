@@ -1,13 +1,15 @@
-"""Write the report on an identification: summary, next steps, sections of each method."""
+"""Write the report on an identification: the recommended plant, then evidence, other methods."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from ... import __version__
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
 from ...identification.records.record import describe_position
@@ -32,6 +34,7 @@ from .greybox import (
     NOISE_MOST,
     NOT_WHITE,
     GreyBoxReport,
+    grey_box_answer,
     grey_box_numbers,
     grey_box_report,
     grey_box_words,
@@ -44,14 +47,15 @@ from .subspace import subspace_numbers, subspace_report, subspace_sections, subs
 
 _POOR_FIT_PERCENT = 50.0
 _FAST_S = 2e-4
+_RESPONSE = re.compile(
+    r"fitted-response|plant-(subspace|ho-kalman)|(multisine|point-\d+)-magnitude"
+)
+"""Names of the pictures that show the magnitude of a plant."""
 _READ_REMARKS = (
-    "Read the remarks on the records: what they name is noise to a linear model.",
+    "Read the remarks on the records: a linear model treats what they list as noise.",
     "",
 )
-_NO_TRUTH = (
-    "No truth was given, as there is none on a real rig: the agreement of the methods and the data "
-    "kept back are what the model can be judged by."
-)
+_NO_TRUTH = "Judge the model by held-out data and by the agreement of the methods."
 
 
 def identification_report(
@@ -62,8 +66,13 @@ def identification_report(
     grey: GreyBox | None = None,
     multisine: Sequence[BestLinearApproximation] = (),
     notes: Sequence[str] = (),
+    command: str = "",
 ) -> Path:
     """Write the report on an identification to `out_dir` and return the page's path.
+
+    The page begins with the recommended plant: the fitted model if it leaves no more than noise,
+    else the first reliable one of subspace, Ho-Kalman, multisines and open loop. The others follow,
+    folded. `command` reproduces the identification; it is shown at the end.
 
     Args without results are omitted from the page: `result` is None without suitable records,
     `grey` without a declared model, `multisine` is empty without periodic records. `session` is the
@@ -85,44 +94,59 @@ def identification_report(
     closed = [p for p in points if isinstance(p, ClosedLoopPoint)]
     others = [p for p in points if isinstance(p, OpenLoopPoint)]
     chapters: list[_Chapter] = []
-    if closed:
-        chapters.append(_closed_loop_chapter(closed, signals, truth, grey))
-    if any(p.subspace for p in closed):
-        chapters.append(_subspace_chapter(closed, signals, truth))
-    for number, point in enumerate(others, start=1):
-        chapters.append(_open_loop_chapter(point, signals, truth, number))
-    if multisine:
-        chapters.append(_multisine_chapter(multisine, signals, truth))
     if grey is not None:
         chapters.append(_grey_box_chapter(grey, closed, signals, truth, session))
-    summary: list[Part] = [] if session is None else [Text(session_words(session), "lead")]
-    for chapter in chapters:
-        summary += [*chapter.words, Figures(chapter.numbers)]
-    if truth is None and (grey is not None or multisine or closed):
-        summary.append(Text(_NO_TRUTH, "note"))
-    sections = _numbered_once([section for chapter in chapters for section in chapter.sections])
-    details = _record_parts(result, grey, multisine, notes)
+    if any(p.subspace for p in closed):
+        chapters.append(_subspace_chapter(closed, signals, truth))
+    if closed:
+        chapters.append(_closed_loop_chapter(closed, signals, truth, grey))
+    if multisine:
+        chapters.append(_multisine_chapter(multisine, signals, truth))
+    for number, point in enumerate(others, start=1):
+        chapters.append(_open_loop_chapter(point, signals, truth, number))
+    best = next((c for c in chapters if c.reliable), chapters[0])
+    answer: list[Part] = [Text(best.answer, "lead"), Figures(best.numbers)]
+    answer += best.pictures[:1]
     if session is not None:
-        used = _paper_figures(sections)
-        sections[:0] = _numbered_once(session_sections(session), used)
-        details += _versions_parts(session)
-    sections.append(Section("Records", details))
+        answer.append(Text(session_words(session), "note"))
+    if truth is None and (grey is not None or multisine or closed):
+        answer.append(Text(_NO_TRUTH, "note"))
     steps = dict.fromkeys(step for chapter in chapters for step in chapter.steps)
-    sections.append(Section("What next", (Steps(tuple(steps)),)))
+    first, *evidence = best.sections
+    first = replace(first, parts=(*best.words, *first.parts))
+    sections = [
+        first,
+        Section("What next", (Steps(tuple(steps)),)),
+        *evidence,
+        *(section for c in chapters if c is not best for section in c.folded()),
+    ]
+    sections = [_without(section, best.pictures[:1]) for section in sections]
+    details = _record_parts(result, grey, multisine, notes)
+    flown: list[Section] = []
+    if session is not None:
+        flown = [replace(s, folded=True) for s in session_sections(session)]
+        details += _versions_parts(session)
+    sections = _numbered_once([Section("Answer", tuple(answer)), *sections, *flown])
+    sections.append(Section("Records and provenance", (*details, *_provenance(command))))
     title = f"Identification of {_name(result, session, grey, multisine)}"
-    return write_report(out_dir, title, [Section("Summary", tuple(summary)), *sections])
+    return write_report(out_dir, title, sections)
 
 
-def _paper_figures(sections: Sequence[Section]) -> set[str]:
-    return {p.paper for s in sections for p in s.parts if isinstance(p, Picture) and p.paper}
+def _without(section: Section, shown: Sequence[Part]) -> Section:
+    """Return a section without parts that the page shows already."""
+    return replace(section, parts=tuple(part for part in section.parts if part not in shown))
 
 
-def _numbered_once(sections: Sequence[Section], used: Collection[str] = ()) -> list[Section]:
-    """Return the sections with each figure number of the paper at its first picture only.
+def _provenance(command: str) -> tuple[Part, ...]:
+    version = Text(f"Written by levid {__version__}.", "note")
+    if not command:
+        return (version,)
+    return version, Steps((("This command repeats the identification:", command),))
 
-    Numbers in `used` are not given again.
-    """
-    claimed = set(used)
+
+def _numbered_once(sections: Sequence[Section]) -> list[Section]:
+    """Return the sections with each figure number of the paper at its first picture only."""
+    claimed: set[str] = set()
 
     def once(part: Part) -> Part:
         if not isinstance(part, Picture) or not part.paper:
@@ -137,12 +161,40 @@ def _numbered_once(sections: Sequence[Section], used: Collection[str] = ()) -> l
 
 @dataclass(frozen=True)
 class _Chapter:
-    """The contribution of one identification method to the page."""
+    """The contribution of one identification method to the page.
 
+    answer: the sentences that recommend its plant. reliable: whether it can be recommended.
+    """
+
+    name: str
+    answer: str
+    reliable: bool
     words: tuple[Text, ...]
     numbers: tuple[Number, ...]
     sections: tuple[Section, ...]
     steps: Sequence[tuple[str, str]]
+
+    @property
+    def pictures(self) -> list[Picture]:
+        """Its pictures of the plant's magnitude."""
+        parts = [part for s in self.sections for part in s.parts if isinstance(part, Picture)]
+        return [p for p in parts if _RESPONSE.fullmatch(p.name)]
+
+    def folded(self) -> tuple[Section, ...]:
+        """Return its sections folded, with the method's name, words and numbers in the first."""
+        first, *rest = self.sections
+        head: tuple[Part, ...] = (*self.words, Figures(self.numbers))
+        return (
+            Section(f"{self.name}: {_lower(first.title)}", (*head, *first.parts), folded=True),
+            *(
+                Section(f"{self.name}: {_lower(section.title)}", section.parts, folded=True)
+                for section in rest
+            ),
+        )
+
+
+def _lower(title: str) -> str:
+    return f"{title[0].lower()}{title[1:]}"
 
 
 def _closed_loop_chapter(
@@ -154,6 +206,9 @@ def _closed_loop_chapter(
     report = closed_loop_report(points, signals, truth)
     beam_moved = grey is not None and any(p.experiment.moving for p in grey.fit.predictions)
     return _Chapter(
+        "Ho-Kalman",
+        f"Use the state-space model by Ho-Kalman. {closed_loop_words(report)[0].text}",
+        report.trusted,
         closed_loop_words(report),
         closed_loop_numbers(report),
         closed_loop_sections(report),
@@ -165,14 +220,27 @@ def _subspace_chapter(
     points: Sequence[ClosedLoopPoint], signals: SignalLabels, truth: Truth | None
 ) -> _Chapter:
     report = subspace_report(points, signals, truth)
-    return _Chapter(subspace_words(report), subspace_numbers(report), subspace_sections(report), ())
+    words = subspace_words(report)
+    return _Chapter(
+        "Subspace",
+        f"Use the state-space model by the subspace method. {words[0].text}",
+        all(model.trusted for model in report.models),
+        words,
+        subspace_numbers(report),
+        subspace_sections(report),
+        (),
+    )
 
 
 def _open_loop_chapter(
     point: OpenLoopPoint, signals: SignalLabels, truth: Truth | None, number: int
 ) -> _Chapter:
+    words = open_loop_words(point, signals)
     return _Chapter(
-        open_loop_words(point, signals),
+        "Open loop",
+        " ".join(text.text for text in words[:2]),
+        True,
+        words,
         open_loop_numbers(point),
         open_loop_sections(point, signals, truth, number),
         _after_open_loop(point),
@@ -187,15 +255,22 @@ def _multisine_chapter(
     if report.distorted():
         steps.append(
             (
-                "The plant distorts at this amplitude: fly the multisines at half of it. What "
-                "falls by more than half is distortion, and the model is that of the amplitude.",
+                "The plant is nonlinear at this amplitude. Fly the multisines at half of it: "
+                "distortion falls by more than half.",
                 "",
             )
         )
     if any(bla.remarks for bla in blas):
         steps.append(_READ_REMARKS)
+    words = multisine_words(report)
     return _Chapter(
-        multisine_words(report), multisine_numbers(report), multisine_sections(report), steps
+        "Multisines",
+        " ".join(text.text for text in words),
+        True,
+        words,
+        multisine_numbers(report),
+        multisine_sections(report),
+        steps,
     )
 
 
@@ -208,6 +283,9 @@ def _grey_box_chapter(
 ) -> _Chapter:
     report = grey_box_report(grey, points, signals, truth)
     return _Chapter(
+        "Fitted model",
+        grey_box_answer(report),
+        report.explains,
         grey_box_words(report),
         grey_box_numbers(report),
         grey_box_sections(report),
@@ -256,8 +334,8 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
     if len(orders) > 1:
         steps.append(
             (
-                f"The beam positions show {listed([str(n) for n in sorted(orders)])} main states: "
-                "look at the singular values, and choose one order for all if the noise decides.",
+                f"The beam positions have {listed([str(n) for n in sorted(orders)])} main states. "
+                "Compare the singular values, and set one order for all positions (--order).",
                 "",
             )
         )
@@ -265,8 +343,8 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
         where = listed([label for label, _ in report.unreliable])
         steps.append(
             (
-                f"Do not use the model by Ho-Kalman, beam {where}: longer records, or stronger "
-                "ones, would make a better one. The response by (15) needs no model and stands.",
+                f"Do not use the model by Ho-Kalman at beam {where}. Record longer, or excite "
+                "more. The response by (15) needs no model and is valid.",
                 "",
             )
         )
@@ -298,7 +376,7 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
     if report.points[0].loop.Ts_s > _FAST_S:
         steps.append(
             (
-                "Fly the same at 10 kHz, as the paper did, with about the same result.",
+                "Fly the same session at 10 kHz, as in the paper, and compare.",
                 f"levid excite config/sessions/white-noise-10khz.yaml{flight} --out out/10khz",
             )
         )
@@ -315,8 +393,8 @@ def _after_grey_box(
         names = listed([u.name for u in fit.unidentifiable])
         steps.append(
             (
-                f"{names} stayed as declared: measure what would tell, or fix it in the model file "
-                "where it is known.",
+                f"{names} could not be fitted and kept the declared value. Add a record that "
+                "depends on it, or fix it in the model file if it is known.",
                 "",
             )
         )
@@ -324,26 +402,25 @@ def _after_grey_box(
             steps.append(_move_the_beam(" --virtual" if truth else ""))
     if fit.at_bound:
         steps.append(
-            (f"Widen the bounds of {listed(list(fit.at_bound))} in the model file, or ask why.", "")
+            (f"Check {listed(list(fit.at_bound))}: the fit ended at a bound of the model file.", "")
         )
     least, tests = least_chance(report)
     worst = report.worst
     if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
         steps.append(
             (
-                "Look at what the fitted model leaves: the frequency at which the error rises over "
-                "the noise tells what the declared model lacks.",
-                "",
+                "Find the effect that the model lacks.",
+                "levid trace LOG... --out DIR",
             )
         )
     if not steps:
-        steps.append(("Use the fitted model: it is a model file again.", ""))
+        steps.append(("Use the fitted model: DIR/model.yaml is a model file for --model.", ""))
     return steps
 
 
 def _move_the_beam(flight: str) -> tuple[str, str]:
     return (
-        "Let the beam move and see what that does to the platform: the paper's Fig. 14.",
+        "Fly a moving beam, and compare the platform's motion with the model (Fig. 14).",
         f"levid excite config/sessions/beam.yaml{flight} --out out/beam",
     )
 
@@ -354,12 +431,12 @@ def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
     if poor:
         return [
             (
-                "The simulated fit leaves much unexplained: a longer record, or inputs that move "
-                "more at the frequencies where the band is wide, would tell noise from dynamics.",
+                "The simulation leaves much unexplained. Record longer, or excite more at the "
+                "frequencies where the confidence band is wide.",
                 "",
             )
         ]
-    what = "Use the model: its matrices are in the JSON of the same command."
+    what = "Use the model. This command prints its matrices:"
     return [(what, "levid identify LOG --out DIR --json")]
 
 
@@ -392,9 +469,7 @@ def _record_parts(
         if experiment.name not in {name for name, _ in rows}:
             rows[experiment.name, where] = list(experiment.remarks)
     cells = tuple((record, where, "; ".join(own) or "—") for (record, where), own in rows.items())
-    parts: list[Part] = [
-        Table("Records that were identified", ("record", "beam", "remarks"), cells, 3)
-    ]
+    parts: list[Part] = [Table("Identified records", ("record", "beam", "remarks"), cells, 3)]
     parts += of_point
     of_all = [
         r
@@ -410,7 +485,7 @@ def _record_parts(
     )
     if left_out:
         skipped = tuple(_log_and_reason(text) for text in left_out)
-        parts.append(Table("Left out, and other notes", ("what", "why"), skipped, 2))
+        parts.append(Table("Omitted records, and other notes", ("what", "why"), skipped, 2))
     return tuple(parts)
 
 
@@ -421,4 +496,8 @@ def _log_and_reason(text: str) -> tuple[str, str]:
 
 def _versions_parts(session: Session) -> tuple[Part, ...]:
     rows = tuple(sorted(session.versions.items()))
-    return (Table("Versions that wrote the logs", ("what", "version"), rows, 2),) if rows else ()
+    return (
+        (Table("Versions of the programs that wrote the logs", ("what", "version"), rows, 2),)
+        if rows
+        else ()
+    )

@@ -29,7 +29,7 @@ from ..plotting.labelled_frequency_responses import (
     SignalLabels,
     inside,
     ratio,
-    rig_or,
+    shown_range,
 )
 from ..plotting.style import TRUTH, line_of, position_label, signed
 from .closed_loop import TRUTH_NAME, Truth
@@ -73,7 +73,7 @@ class MultisineReport:
         """Return the largest 95 % confidence radius on the diagonal in dB, up to top_hz."""
         worst = [0.0]
         for bla in self.blas:
-            part = (bla.freq_hz >= self.shown.low_hz) & (bla.freq_hz <= self.shown.top_hz)
+            part = (bla.freq_hz >= self.shown.bottom_hz) & (bla.freq_hz <= self.shown.top_hz)
             for i in range(min(bla.H.shape[1:])):
                 with np.errstate(divide="ignore", invalid="ignore"):
                     share = bla.radius()[part, i, i] / np.abs(bla.H[part, i, i])
@@ -88,7 +88,7 @@ def multisine_report(
     blas = sorted(blas, key=lambda bla: bla.beam_m or 0.0)
     beams = [bla.beam_m for bla in blas]
     labels = _labels(blas)
-    shown = rig_or(
+    shown = shown_range(
         min(float(bla.freq_hz[0]) for bla in blas),
         max(float(bla.freq_hz[-1]) for bla in blas),
         signals,

@@ -27,41 +27,41 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
     m, p = signals.shape
     texts = [
         Text(
-            f"A system of {p} inputs and {m} outputs, identified from input to output without a "
-            "known controller. "
+            f"The plant with {p} input{'s' * (p != 1)} and {m} output{'s' * (m != 1)} was "
+            "identified from input to output, without a controller. "
             + (
-                f"The model that simulates has {point.order} states, the one that predicts a step "
-                f"ahead {point.predictor_order}."
+                f"The simulation model has {point.order} states, the one-step-ahead predictor "
+                f"{point.predictor_order}."
                 if point.stable
-                else f"The model has {point.order} states and is unstable: it predicts a step "
-                "ahead, and does not simulate."
+                else f"The model has {point.order} states and is unstable: it can predict one step "
+                "ahead, but not simulate."
             ),
         )
     ]
     for held in _worst_first(point.holdout)[:_MOST_SHOWN]:
         texts.append(
             Text(
-                f"On the last {len(held.time_s)} rows of record {held.record}, which no estimate "
-                f"has seen: {_fit_words(held, signals)}."
+                f"Held-out rows, the last {len(held.time_s)} of record {held.record}: "
+                f"{_fit_words(held, signals)}."
             )
         )
     if len(point.holdout) > _MOST_SHOWN:
         left = len(point.holdout) - _MOST_SHOWN
-        texts.append(Text(f"The other {left} records fit better; all are in the table below."))
+        texts.append(Text(f"The other {left} records fit better; the table below lists all."))
     return tuple(texts)
 
 
 def open_loop_numbers(point: OpenLoopPoint) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
     numbers = [Number(str(point.order), "states of the model")]
-    least = ", the least of all records" if len(point.holdout) > _MOST_SHOWN else ""
+    least = ", lowest of all records" if len(point.holdout) > _MOST_SHOWN else ""
     for held in _worst_first(point.holdout)[: 1 if least else None]:
         if point.stable:
             fits = " / ".join(map(_percent, held.simulated_fit_percent))
-            numbers.append(Number(fits, f"fit simulated, on data kept back{least}"))
+            numbers.append(Number(fits, f"fit of the simulation, held-out rows{least}"))
         if held.predicted_fit_percent is not None:
             fits = " / ".join(map(_percent, held.predicted_fit_percent))
-            numbers.append(Number(fits, f"fit one step ahead, on data kept back{least}"))
+            numbers.append(Number(fits, f"fit one step ahead, held-out rows{least}"))
     return tuple(numbers)
 
 
@@ -90,7 +90,7 @@ def open_loop_sections(
     """
     of = f" {number}" if number > 1 else ""
     return (
-        Section(f"Data kept back{of}", _held_out_parts(point, signals, f"point-{number}")),
+        Section(f"Held-out data{of}", _held_out_parts(point, signals, f"point-{number}")),
         Section(
             f"Frequency response{of}", _response_parts(point, signals, truth, f"point-{number}")
         ),
@@ -116,9 +116,9 @@ def _held_out_parts(point: OpenLoopPoint, signals: SignalLabels, name: str) -> t
                 f"{name}-outputs-{number + 1}",
                 to_svg(held_out_outputs(tail)),
                 f"Measured, predicted and simulated outputs at the end of record {held.record}.",
-                f"The last {len(held.time_s)} rows of record {held.record}, kept from all "
-                "estimates. Simulated: from the input alone. One step ahead: from input and output "
-                "up to the row before. A fit of 100 % is perfect, 0 % no better than the mean.",
+                f"Held-out rows: the last {len(held.time_s)} of record {held.record}. Simulated: "
+                "from the input alone. One step ahead: from input and output up to the previous "
+                "row. A fit of 100 % is perfect; 0 % is no better than the mean.",
             )
         )
     if len(point.holdout) > _MOST_SHOWN:
@@ -134,7 +134,7 @@ def _fits_table(holdout: Sequence[HoldOut], signals: SignalLabels) -> Table:
             by_kind["one step ahead"] = held.predicted_fit_percent
         rows += [(held.record, kind, *map(_percent, fits)) for kind, fits in by_kind.items()]
     head = ("record", "model", *signals.output_names)
-    return Table("Fit on rows that no estimate has seen", head, tuple(rows), labels=2)
+    return Table("Fit on held-out rows", head, tuple(rows), labels=2)
 
 
 def _response_parts(
@@ -155,14 +155,14 @@ def _response_parts(
             f"{name}-magnitude",
             to_svg(bode_magnitude(curves, signals, truth=true, shown=shown)),
             "Bode magnitude of every input to every output, by the model and from spectra.",
-            f"Magnitude of the model of {point.order} states and, without any model, of the ratio "
-            "of cross spectra, with a band that holds 95 % of its error.",
+            f"Magnitude of the model of {point.order} states, and of the ratio of cross spectra "
+            "with its 95 % interval, which needs no model.",
         ),
         Picture(
             f"{name}-phase",
             to_svg(bode_phase(curves, signals, truth=true, shown=shown)),
             "Phase of every input to every output, by the model and from spectra.",
-            "Phase of the same; from spectra only where it is known to 60°.",
+            "Phase of the model and of the spectra, these where the uncertainty is below 60°.",
         ),
     )
 
@@ -187,15 +187,15 @@ def _order_parts(point: OpenLoopPoint, name: str) -> tuple[Part, ...]:
             f"{name}-validation",
             to_svg(validation_errors(kinds)),
             "Validation error over the model's order, for simulation and for prediction.",
-            "Error on the last quarter of the training rows of models made from the rest. Chosen "
-            "is the smallest order within one standard error of the best. Orders without a stable "
-            "model have no point.",
+            "Error on the last quarter of the training rows, of models fitted to the rest. The "
+            "smallest order within one standard error of the best is chosen. Orders without a "
+            "stable model have no point.",
         ),
         Picture(
             f"{name}-singular-values",
             to_svg(singular_values(spectra)),
             "Singular values of the Hankel matrix on a logarithmic scale.",
-            "Singular values of the Hankel matrix of the Markov parameters, where no gap decides. "
+            "Singular values of the Hankel matrix of the Markov parameters. "
             f"{_length_words(point)}",
         ),
     )

@@ -27,10 +27,11 @@ from ..plotting.labelled_frequency_responses import (
     Range,
     SignalLabels,
     ratio,
-    rig_or,
+    shown_range,
 )
 from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
 from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth, factor
+from .greybox_sections import interval
 
 Array = NDArray[np.float64]
 
@@ -61,7 +62,7 @@ class SubspaceReport:
         worst = [0.0]
         for model in self.models:
             r = model.response
-            part = (r.freq_hz >= self.shown.low_hz) & (r.freq_hz <= self.shown.top_hz)
+            part = (r.freq_hz >= self.shown.bottom_hz) & (r.freq_hz <= self.shown.top_hz)
             for i in range(min(r.H.shape[1:])):
                 share = SURE_95 * r.magnitude_deviation[part, i, i] / np.abs(r.H[part, i, i])
                 worst.append(float(np.max(20 * np.log10(1 + share), initial=0.0)))
@@ -82,7 +83,8 @@ def subspace_report(
         raise ValueError("expected at least one position with a model by subspace, found none")
     labels = tuple(position_label(p.beam_m, beams) for _, p, _ in chosen)
     frequencies = points[0].freq_hz
-    shown = rig_or(float(frequencies[0]), float(frequencies[-1]), signals)
+    modes_hz = [f for _, _, model in chosen for f in model.modes.frequency_hz]
+    shown = shown_range(float(frequencies[0]), float(frequencies[-1]), signals, modes_hz)
     curves, ho_kalman, exact = [], [], []
     for (k, point, model), label in zip(chosen, labels, strict=True):
         r = model.response
@@ -90,7 +92,7 @@ def subspace_report(
         wide = SURE_95 / CONFIDENCE
         bands = wide * r.magnitude_deviation, wide * r.phase_deviation_rad
         line = line_of(k) if model.trusted else DOUBTFUL
-        name = label if model.trusted else f"{label}, not to be trusted"
+        name = label if model.trusted else f"{label}, not reliable"
         curves.append(Curve(name, line, r.freq_hz, r.H, *bands))
         other = line if point.trusted else DOUBTFUL
         ho_kalman.append(Curve(label, other, point.freq_hz, point.from_ho_kalman))
@@ -123,14 +125,14 @@ def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
         label for label, m in zip(report.labels, report.models, strict=True) if not m.trusted
     ]
     use = (
-        f"It is not to be trusted at {', '.join(unreliable)}."
+        f"It is not reliable at {', '.join(unreliable)}."
         if unreliable
-        else "Of the models that assume no physics it is the one to use."
+        else "It is the most accurate model that assumes no physics."
     )
     text = (
-        f"The subspace method finds the plant of {states} states straight from its input and "
-        f"output, standing out by a factor of {gap} at least. Up to {report.shown.top_hz:g} Hz its "
-        f"diagonal is known with 95 % confidence to {_short(report.uncertainty_db())} dB"
+        f"The subspace method identifies a plant of {states} states from its input and output "
+        f"(gap of the singular values: {gap} or more). Up to {report.shown.top_hz:g} Hz, the 95 % "
+        f"interval of its diagonal is {_short(report.uncertainty_db())} dB or less"
     )
     compared = "; ".join(_comparison(report, name) for name in report.ratios)
     return (Text(f"{text}; {compared}. {use}"),)
@@ -148,7 +150,7 @@ def subspace_numbers(report: SubspaceReport) -> tuple[Number, ...]:
         meaning = f"{SUBSPACE} against the truth at worst, {top}"
         verdict: Verdict = "good" if kept else "bad"
         if not all(model.trusted for model in report.models):
-            meaning, verdict = f"{meaning}; not all to be trusted", "doubt"
+            meaning, verdict = f"{meaning}; not reliable everywhere", "doubt"
         numbers.append(Number(error_text(error, ", "), meaning, verdict))
     return tuple(numbers)
 
@@ -210,7 +212,7 @@ def _differences_table(report: SubspaceReport) -> Table:
             cells = (error_text((w.decibel, w.degree), ", ") for w in worst)
             rows.append((name.replace(" / ", " against "), label, *cells))
     diagonal = [report.signals.path(i, i) for i in range(min(report.signals.shape))]
-    span = f"{report.shown.low_hz:g} to {report.shown.top_hz:g} Hz"
+    span = f"{report.shown.bottom_hz:g} to {report.shown.top_hz:g} Hz"
     head = ("compared", "beam", *diagonal)
     return Table(f"Largest differences from {span}", head, tuple(rows), labels=2)
 
@@ -220,8 +222,8 @@ def _modes_table(report: SubspaceReport) -> Table:
     for model, label in zip(report.models, report.labels, strict=True):
         m = model.modes
         for k in range(len(m.frequency_hz)):
-            frequency = _with_error(m.frequency_hz[k], m.frequency_se_hz[k])
-            rows.append((label, frequency, _with_error(m.damping[k], m.damping_se[k])))
+            frequency = interval(m.frequency_hz[k], m.frequency_se_hz[k])
+            rows.append((label, frequency, interval(m.damping[k], m.damping_se[k])))
     head = ("beam", "frequency Hz", "damping ζ")
     return Table("Modes by the subspace method, with 95 % intervals", head, tuple(rows))
 
@@ -236,15 +238,6 @@ def _fits_table(report: SubspaceReport) -> Table:
     outputs = (f"{name} %" for name in report.signals.output_symbols)
     caption = "Fit of the loop simulated from v alone, on rows that neither estimate has seen"
     return Table(caption, ("record", "beam", "model", *outputs), tuple(rows), labels=3)
-
-
-def _with_error(value: float, se: float) -> str:
-    """Return 'value ± half of its 95 % interval', both to the second digit of the latter."""
-    half = SURE_95 * se
-    if not (np.isfinite(half) and half > 0):
-        return f"{value:.4g}"
-    digits = max(1 - int(np.floor(np.log10(half))), 0)
-    return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
 def _short(value: float) -> str:

@@ -67,10 +67,11 @@ Part = Text | Figures | Table | Picture | Steps
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and its content in order."""
+    """A heading and its content in order; a folded section shows its heading until it is opened."""
 
     title: str
     parts: tuple[Part, ...]
+    folded: bool = False
 
     @property
     def anchor(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,11 +77,17 @@ class Curve:
 
 @dataclass(frozen=True)
 class Range:
-    """Frequency range of a figure and upper limit of the rigid-body model, in Hz."""
+    """Frequency range of a figure, and limits of the frequencies that are evaluated, in Hz."""
 
     low_hz: float
     high_hz: float
     valid_to_hz: float | None = None
+    valid_from_hz: float | None = None
+
+    @property
+    def bottom_hz(self) -> float:
+        """Lowest frequency that is evaluated."""
+        return self.low_hz if self.valid_from_hz is None else max(self.valid_from_hz, self.low_hz)
 
     @property
     def top_hz(self) -> float:
@@ -88,13 +95,27 @@ class Range:
         return self.high_hz if self.valid_to_hz is None else min(self.valid_to_hz, self.high_hz)
 
 
-RIG = Range(1.0, 100.0, 64.0)
+RIG = Range(1.0, 100.0, 64.0, 1.0)
 """Range of the paper's figures; above about 400 rad/s its platform is not rigid."""
+_AROUND = 10.0
+"""A figure shows a decade on both sides of the resonances."""
 
 
-def rig_or(low_hz: float, high_hz: float, signals: SignalLabels) -> Range:
-    """Return the paper's range for the rig's signals, else the given range."""
-    return RIG if signals.output_names == ("psi", "theta", "z") else Range(low_hz, high_hz)
+def shown_range(
+    low_hz: float, high_hz: float, signals: SignalLabels, modes_hz: Sequence[float] = ()
+) -> Range:
+    """Return a decade below and above the modes, within the data; the data without modes.
+
+    Comparisons evaluate the paper's range for the rig's signals, and all that is shown for others.
+    """
+    rig = signals.output_names == ("psi", "theta", "z")
+    known = [f for f in modes_hz if np.isfinite(f) and f > 0]
+    if not known:
+        return RIG if rig else Range(low_hz, high_hz)
+    low, high = max(low_hz, min(known) / _AROUND), min(high_hz, _AROUND * max(known))
+    if not low < high:
+        low, high = low_hz, high_hz
+    return Range(low, high, RIG.valid_to_hz, RIG.valid_from_hz) if rig else Range(low, high)
 
 
 _MOST_POINTS = 400

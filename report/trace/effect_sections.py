@@ -61,8 +61,8 @@ def _random_parts(force: RandomForce) -> tuple[Part, ...]:
     return (
         Text(f"{force.equation}.", "lead"),
         Text(
-            "No model foretells it, and model.yaml has none of it. In held-out records its power "
-            f"is {s.statistic:.0f} standard deviations beyond that of noise."
+            "A random force cannot be predicted, so model.yaml does not contain it. Its power in "
+            f"held-out records exceeds that of noise (z = {s.statistic:.0f})."
         ),
         Table(
             "Parameters with 95 % intervals",
@@ -130,16 +130,17 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
     effect, why = found.effect, found.evidence
     parts: list[Part] = [Text(f"{effect.equation}.", "lead")]
     if why is not None:
-        asked = "On held-out records"
+        confirmed = "Held-out records confirm it"
         if not why.held:
-            asked = "It does little in the records held out; between blocks of time of the others"
+            confirmed = (
+                "It is small in the held-out records; blocks of the other records confirm it"
+            )
         parts.append(
             Text(
-                f"Taken in round {why.round}. Fitted to four fifths of the blocks of time it takes "
-                f"{why.explained:,.0f} squared errors, in variances of the noise, from the fifth"
+                f"Added in round {why.round}. Five-fold cross-validation: the squared error falls "
+                f"by {why.explained:,.0f} noise variances"
                 + ("" if why.share is None else f", {share_text(why.share)}")
-                + f". {asked}, what it predicts agrees with the errors "
-                f"{why.statistic:.0f} standard deviations beyond chance."
+                + f". {confirmed} (z = {why.statistic:.0f})."
             )
         )
     parts.append(_parameter_table(found))
@@ -150,11 +151,11 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
                 f"effect-{number}",
                 to_svg(effect_shapes(shapes)),
                 f"{effect.name}: measured against fitted, over what it depends on and over time.",
-                f"{effect.name} as measured and as fitted. Measured is what the model without "
-                "this effect, but with all others, cannot explain; both went through one filter "
-                "that keeps what stands out of the noise. The mean over a record, which its "
-                "constant force hides, is as fitted. Intervals come from the spread between blocks "
-                "of 4 s. "
+                f"{effect.name} as measured and as fitted. Measured: the error of the model with "
+                "all other effects but without this one. One filter for all curves removes "
+                "frequencies that noise dominates. The mean over a record is as fitted, because "
+                "the record's constant force hides it. Intervals are from the spread between "
+                "blocks of 4 s. "
                 f"{_difference_words(shapes)}",
             )
         )
@@ -180,13 +181,15 @@ def _neighbours(found: FoundEffect) -> list[str]:
     texts = []
     if why is not None and why.alternatives:
         names = listed([e.name for e in why.alternatives])
-        how = f" What would: {telling(found)}." if telling(found) else ""
-        first = f"{effect.name} stands for all of them here. " if found.others else ""
-        texts.append(f"{first}These records do not tell it from {names}: they fit no worse.{how}")
+        how = f" To tell them apart, record: {telling(found)}." if telling(found) else ""
+        first = f"{effect.name} is shown as an example. " if found.others else ""
+        texts.append(
+            f"{first}These records cannot tell it from {names}, which fit equally well.{how}"
+        )
     elif why is not None:
-        texts.append("No other effect that was fitted fits these records as well.")
+        texts.append("No other fitted effect explains these records equally well.")
     if effect.absorbed_by:
-        texts.append(f"What it cannot be told from in principle: {effect.absorbed_by}.")
+        texts.append(f"No record can tell it from this part of the model: {effect.absorbed_by}.")
     return texts
 
 
@@ -240,8 +243,8 @@ def _difference_words(shapes: Sequence[Shape]) -> str:
     inside = float(np.mean(apart <= CONFIDENCE * shape.error)) if len(apart) else 1.0
     over = signal_text(shape.over)
     return (
-        f"Over {over}, {100 * inside:.0f} % of the intervals hold the fitted effect, "
-        f"and the largest difference is {amount(float(apart.max(initial=0.0)), shape.unit)}."
+        f"Over {over}, {100 * inside:.0f} % of the intervals contain the fitted effect; "
+        f"the largest difference is {amount(float(apart.max(initial=0.0)), shape.unit)}."
     )
 
 

@@ -1,4 +1,4 @@
-"""Write the report on a trace of imported records: the answer, the errors, each law, the search."""
+"""Write the report on a trace of imported records: the answer, then parameters and evidence."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ... import __version__
 from ...config.model import EffectParameter
 from ...identification.trace.force_regression.force_trace_summary import (
     ABOUT,
@@ -22,71 +23,117 @@ from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
 from ..plotting.labelled_frequency_responses import symbol
+from .answer import Clause, answer
+from .effect_in_words import effect_in_words
 from .effect_shapes import effect_shapes
 from .law_shapes import law_shapes
 from .missing_force import missing_force
 from .number_format import CONFIDENCE, plain, unit_text, with_interval
 
 
-def imported_report(trace: ForceTrace, out_dir: Path) -> Path:
+def imported_report(trace: ForceTrace, out_dir: Path, command: str = "") -> Path:
     """Write the report on a trace of imported records and return the page's path.
+
+    The page begins with the answer; parameters, evidence, method and provenance follow. `command`
+    reproduces the trace; it is shown at the end.
 
     Raises:
         OSError: the page cannot be written.
     """
     result = force_outcome(trace)
+    picture, errors = _force_parts(trace, result)
     sections = [
-        Section("Summary", (*_answer(trace, result), Figures(_numbers(result)))),
-        Section("Force that the model lacks", _force_parts(trace, result)),
+        Section("Answer", (*_answer(trace, result), picture)),
+        *_effects(result),
+        Section("Model parameters", (_parameters(trace),)),
+        Section("What next", (Steps(tuple(_steps(result, out_dir))),)),
         *(
             Section(f"{number}. {law.name}", _law_parts(trace, law, number))
             for number, law in enumerate(result.laws, start=1)
         ),
-        Section("Parameters", (_parameters(trace),)),
-        Section("Search", _search_parts(trace)),
-        Section("Records", (_records(trace),)),
-        Section("What next", (Steps(tuple(_steps(result, out_dir))),)),
+        Section("Error before and after", (errors,)),
+        Section("Search", _search_parts(trace), folded=True),
+        Section("Records and provenance", _provenance(trace, command)),
     ]
     names = (f"perhaps {law.name}" if law.doubtful else law.name for law in result.laws)
     title = ", ".join(names) or "no effect confirmed"
     return write_report(out_dir, f"Trace of {trace.config.name}: {title}", sections)
 
 
-def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Text]:
-    texts = [Text(f"{result.verdict[0].upper()}{result.verdict[1:]}.", "lead")]
-    told = None
-    for law in result.laws:
-        values = ", ".join(f"{n} = {with_interval(p)}" for n, p in law.parameters.items())
-        if law.free:
-            text = f"{law.name}: a free form; its coefficients have no physical meaning."
-        else:
-            text = f"{law.name}: {values} (95 %)."
-        if law.alternatives:
-            text += " These records do not tell its members apart."
-        if law.doubtful:
-            text += (
-                f" It is in doubt: {'; '.join(law.doubts)}. If what is there is not in the table, "
-                "the best of the table takes something too."
-            )
-        if law.curve is not None and law.curve is not told:
-            told = law.curve
-            text += f" Its equation is not exact: {law.inexact}."
-        if law.laws:
-            names = ", ".join(r.placed.effect.title for r in law.laws)
-            text += f" Other laws fit as well: {names}."
-        texts.append(Text(text))
+def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Part]:
+    lead = answer([_clause(law) for law in result.laws], _left(result))
+    parts: list[Part] = [Text(lead, "lead"), Figures(_numbers(result))]
+    parts += [Text(text) for text in _notes(result)]
     about = ABOUT[result.metric].format(limit=trace.limit_hz)
-    texts.append(Text(f"Error: {about}.", "note"))
+    parts.append(Text(f"Error: {about}.", "note"))
     if result.floor is None:
-        texts.append(
+        parts.append(
             Text(
-                "No record tells noise from what the model lacks, so nothing here says that the "
-                "model explains the records. State noise_sd of the outputs in the signals file, if "
+                "No record tells noise from model error, so this page does not say whether the "
+                "model explains the records. State noise_sd of the outputs in the signals file if "
                 "you know it.",
                 "note",
             )
         )
+    return parts
+
+
+def _clause(law: FoundLaw) -> Clause:
+    text = law.name if law.free else effect_in_words(law.placed.effect, law.parameters)
+    others = tuple(r.placed.effect.name for r in law.alternatives)
+    return Clause(text, others, law.doubtful, law.free)
+
+
+def _left(result: ForceOutcome) -> str:
+    """Return a sentence on the missing force, before and after."""
+    parts = []
+    for i, name in enumerate(result.dof):
+        before, after = (e.force_percent[i] for e in (result.before, result.after))
+        at = f" at {symbol(name)}" if len(result.dof) > 1 else ""
+        parts.append(f"from {before:.3g} to {after:.3g} % of the inputs' force{at}")
+    if result.laws:
+        return f"The missing force falls {'; '.join(parts)}."
+    left = "; ".join(
+        f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
+        for e, name in zip(result.after.force_percent, result.dof, strict=True)
+    )
+    return f"No undeclared effect was confirmed. The model leaves {left} unexplained."
+
+
+def _notes(result: ForceOutcome) -> list[str]:
+    texts = [f"{result.verdict[0].upper()}{result.verdict[1:]}."]
+    told = None
+    for law in result.laws:
+        if law.doubtful:
+            texts.append(
+                f"{law.name} is uncertain: {'; '.join(law.doubts)}. If the true effect is not in "
+                "the table, the nearest one explains a part of it."
+            )
+        if law.curve is not None and law.curve is not told:
+            told = law.curve
+            texts.append(f"The equation of {law.name} is not exact: {law.inexact}.")
+        if law.laws:
+            names = ", ".join(r.placed.effect.title for r in law.laws)
+            texts.append(f"Other laws fit as well as {law.name}: {names}.")
     return texts
+
+
+def _effects(result: ForceOutcome) -> list[Section]:
+    """Return the section with the numbers of all effects; none without effects."""
+    rows = tuple(
+        (
+            law.name,
+            "a free form: its coefficients have no physical meaning"
+            if law.free
+            else "; ".join(f"{n} = {with_interval(p)}" for n, p in law.parameters.items()),
+            f"{100 * law.rated.share:.3g} %",
+        )
+        for law in result.laws
+    )
+    if not rows:
+        return []
+    head = ("effect", "parameters", "share of the squared missing force")
+    return [Section("Effects", (Table("Effects with 95 % intervals", head, rows, labels=2),))]
 
 
 def _numbers(result: ForceOutcome) -> tuple[Number, ...]:
@@ -106,36 +153,34 @@ def _percent(value: float) -> str:
     return f"{value:.3g} %" if np.isfinite(value) else "—"
 
 
-def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Part, ...]:
+def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Picture, Table]:
+    """Return the missing force over time, and the table of errors by DOF."""
     rows = []
     for i, name in enumerate(result.dof):
-        cells = [symbol(name)]
-        for error in (result.before, result.after):
-            cells.append(f"{error.force_percent[i]:.3g} %")
-        cells.append(_percent(result.free_form[i]))
-        for error in (result.before, result.after):
-            value = error.percent[i]
-            cells.append(_percent(value))
-        rows.append(tuple(cells))
+        rows.append(
+            (
+                symbol(name),
+                *(f"{error.force_percent[i]:.3g} %" for error in (result.before, result.after)),
+                _percent(result.free_form[i]),
+                *(_percent(error.percent[i]) for error in (result.before, result.after)),
+            )
+        )
     head = (
         "DOF", "force, before", "force, after", "free form", "free run, before", "free run, after",
     )  # fmt: skip
     return (
-        Text(
-            f"M q″ + D q′ + K q − B u below {trace.limit_hz:.3g} Hz, on rows that neither fitted "
-            "the model nor chose its effects."
-        ),
         Picture(
             "missing-force",
             to_svg(missing_force(trace)),
             "Force of the inputs and missing force over time",
-            "Missing force before and after, without its mean, on rows that only report; 0 where "
-            "the DOF rests.",
+            "Missing force before and after, without its mean, on rows that neither fitted the "
+            f"model nor chose its effects: M q″ + D q′ + K q − B u below {trace.limit_hz:.3g} Hz; "
+            "0 where the DOF rests.",
         ),
         Table(
-            "Errors of all reported rows: missing force over the inputs' force, free-run error "
-            "over the output. Free form: what a general function of all signals leaves of the "
-            "force in the fitted rows",
+            "Errors of all reported rows: missing force over the inputs' force, and free-run error "
+            "over the output. Free form: share that a general function of all signals leaves in "
+            "the fitted rows",
             head,
             tuple(rows),
         ),
@@ -167,25 +212,25 @@ def _law_parts(trace: ForceTrace, law: FoundLaw, number: int) -> tuple[Part, ...
             )
         )
     others = [g for g in rated.gain.others if np.isfinite(g)]
-    asked = f"{len(others)} parts of the records that did not fit it agree." if others else ""
+    asked = f"{len(others)} held-out parts of the records agree." if others else ""
     parts.append(
         Text(
-            f"It takes {100 * rated.share:.3g} % of the squared missing force of blocks that did "
-            f"not fit it, {rated.gain.statistic:.1f} times its standard error. {asked}"
+            f"Cross-validation: it explains {100 * rated.share:.3g} % of the squared missing force "
+            f"of held-out blocks, {rated.gain.statistic:.1f} times the standard error. {asked}"
         )
     )
     rivals = [*law.alternatives, *law.laws]
     if rivals:
         parts.append(
             Table(
-                "Not told apart from it by these records",
+                "Effects that these records cannot tell from it",
                 ("effect", "equation", "share of the squared missing force"),
                 tuple(_rival(r) for r in rivals),
                 labels=2,
             )
         )
     if effect.told_apart_by:
-        parts.append(Text(f"To tell it from others: {effect.told_apart_by}.", "note"))
+        parts.append(Text(f"To tell it from others, record: {effect.told_apart_by}.", "note"))
     return tuple(parts)
 
 
@@ -224,17 +269,17 @@ def _search_parts(trace: ForceTrace) -> tuple[Part, ...]:
     o = trace.options
     parts: list[Part] = [
         Text(
-            f"An effect is added if it takes more than {100 * o.least_gain:.0f} % of the squared "
-            f"missing force of blocks that did not fit it, by more than {o.standard_errors:g} "
-            "standard errors, and if no other record contradicts it. Of effects that are not told "
-            "apart, the one with the fewest numbers is added."
+            f"An effect is added if it explains more than {100 * o.least_gain:.0f} % of the "
+            f"squared missing force of held-out blocks, by more than {o.standard_errors:g} "
+            "standard errors, and if no other record contradicts it. Among effects that the "
+            "records cannot tell apart, the one with the fewest parameters is added."
         )
     ]
     nearest = trace.found.nearest
     if nearest:
         parts.append(
             Table(
-                "What came nearest after that, not added",
+                "Best candidates that were not added",
                 (
                     "effect",
                     "share of the squared missing force",
@@ -255,6 +300,13 @@ def _search_parts(trace: ForceTrace) -> tuple[Part, ...]:
     return tuple(parts)
 
 
+def _provenance(trace: ForceTrace, command: str) -> tuple[Part, ...]:
+    parts: list[Part] = [_records(trace), Text(f"Written by levid {__version__}.", "note")]
+    if command:
+        parts.append(Steps((("This command repeats the trace:", command),)))
+    return tuple(parts)
+
+
 def _records(trace: ForceTrace) -> Table:
     rows = []
     for before, after, fitted in zip(trace.before, trace.after, trace.fitted, strict=True):
@@ -265,7 +317,7 @@ def _records(trace: ForceTrace) -> Table:
         seconds = f"{fitted.rows * fitted.band.row_s:.3g} s"
         rows.append((after.record, seconds, f"{after.seconds:.3g} s", *parts))
     return Table(
-        "Records: time that fitted and chose, time that only reports, missing force there",
+        "Records: time that fitted and chose, time that only reports, missing force in it",
         ("record", "fitted", "reported", "before", "after"),
         tuple(rows),
     )
@@ -277,17 +329,18 @@ def _steps(result: ForceOutcome, out_dir: Path) -> Sequence[tuple[str, str]]:
     for law in result.laws:
         if law.alternatives:
             how = law.placed.effect.told_apart_by or "another excitation"
-            steps.append((f"Tell {law.name} apart: {how}.", ""))
+            steps.append((f"To tell the members of {law.name} apart, record: {how}.", ""))
     if result.laws:
         steps.append(
             (
-                "Identify with the effects in the model: they are taken out of the records first.",
+                "Identify the plant with these effects in the model. Their force is subtracted "
+                "from the records first.",
                 f"levid identify LOG... --model {model} --out DIR",
             )
         )
     steps.append(
         (
-            "Record other amplitudes and speeds: an effect shows where it differs from the linear "
+            "Record other amplitudes and speeds. They show effects that differ from the linear "
             "model.",
             "",
         )

@@ -69,8 +69,8 @@ def amount(value: float, unit: str) -> str:
 
 
 def share_text(share: float) -> str:
-    """Return the explained share of the remaining error as text."""
-    return f"{100 * share:.3g} % of what noise did not explain then"
+    """Return the explained share of the error at that time as text."""
+    return f"{100 * share:.3g} % of the error above noise at that time"
 
 
 def plain(value: float, digits: int = 6) -> str:
@@ -79,6 +79,14 @@ def plain(value: float, digits: int = 6) -> str:
     head, _, exponent = text.partition("e")
     power = f"·10{str(int(exponent)).translate(_SUPERSCRIPT)}" if exponent else ""
     return _minus(head) + power
+
+
+def significant(value: float, digits: int) -> str:
+    """Return a number with exactly `digits` digits, zeros at the end too; large ones in full."""
+    decimals = digits - 1 - int(np.floor(np.log10(abs(value)))) if value else 0
+    if abs(value) < 1e-3:
+        return plain(value, digits)
+    return _minus(f"{value:.{min(max(decimals, 0), 12)}f}")
 
 
 def times_text(ratio: float) -> str:

@@ -41,9 +41,9 @@ def left_section(found: Trace, result: Outcome, views: Views) -> Section:
     names = [signals[j].name for j in moved]
     parts: list[Part] = [
         Text(
-            "The generalised force that the model lacks, period by period, by inverse dynamics "
-            "with the identified model; only frequencies at which it stands out of the noise are "
-            "kept. " + _missing_words(views, before, after, two=bool(result.effects))
+            "The missing force: the generalised force that explains the error, computed by inverse "
+            "dynamics with the identified model. Frequencies that noise dominates are removed. "
+            + _missing_words(views, before, after, two=bool(result.effects))
         ),
         Picture(
             "trace-dependence",
@@ -55,15 +55,15 @@ def left_section(found: Trace, result: Outcome, views: Views) -> Section:
                     np.clip(shares_after[:, moved], 0, 1),
                 )
             ),
-            "What share of the missing force on each DOF depends on each signal.",
-            "On what the missing force depends: the area is the share that a curve over the signal "
-            "alone explains, on blocks of time that did not draw it. Signals that go together "
-            "share.",
+            "Share of the missing force on each DOF that each signal explains.",
+            "Dependence of the missing force on single signals. The area and the number (in %) are "
+            "the share that a curve over this signal explains, by cross-validation. Correlated "
+            "signals explain the same share.",
         ),
     ]
     parts.append(_strongest(views, shares_before, values, before))
     parts += [_time_picture(result, records), *_sensor_parts(found, result, records)]
-    return Section("What is left, and what it depends on", tuple(parts))
+    return Section("Remaining error", tuple(parts))
 
 
 def _shares(values: Sequence[Array], force: Array, block: NDArray[np.int64]) -> Array:
@@ -96,18 +96,18 @@ def _strongest(views: Views, shares: Array, values: Sequence[Array], force: Arra
             continue
         shape = dependence(values[j], force[:, i], block)
         strongest.append(
-            f"on {symbol(dof)} with {signal_text(signals[j].name)} "
+            f"on {symbol(dof)}, on {signal_text(signals[j].name)} "
             f"({100 * shares[i, j]:.0f} %), {_character(shape)}"
         )
     if not strongest:
-        return Text("It depends on none of these signals.")
-    return Text(f"Without effects it goes most {'; '.join(strongest)}.")
+        return Text("The missing force does not depend on these signals.")
+    return Text(f"Without effects, it depends most {'; '.join(strongest)}.")
 
 
 def _character(shape: Dependence) -> str:
     """Return a text on whether a dependence is odd, even or neither about the signal's middle."""
     if len(shape.at) < 4:
-        return "in a shape that few values tell"
+        return "with too few values for a shape"
     x = shape.at - 0.5 * (shape.at[0] + shape.at[-1])
     x, y = x / np.abs(x).max(), shape.mean
     mirrored = np.interp(-x, x, y)
@@ -133,9 +133,9 @@ def _time_picture(result: Outcome, records: Sequence[RecordView]) -> Picture:
             )
         ),
         "Mean square of one-step-ahead errors over the session, without and with effects.",
-        "Change over time: what one-step-ahead errors, and readings beyond the rigid platform, "
-        "have of power in each 4 s, all records in the order in which they were flown. Steps "
-        "between records are what they excite; a rise within one is something that changes.",
+        "Error over the session: mean square of one-step-ahead errors, and of readings beyond the "
+        "rigid platform, in blocks of 4 s. Steps between records come from their excitation. A "
+        "rise within a record shows that the plant changes.",
     )
 
 
@@ -152,8 +152,8 @@ def _sensor_parts(found: Trace, result: Outcome, records: Sequence[RecordView]) 
             "trace-sensors",
             to_svg(sensors_alone(before if result.effects else None, after)),
             "RMS of each sensor beyond the rigid platform over its noise.",
-            f"Each sensor by itself: {sensors} sensors for {n} DOF leave {sensors - n} directions "
-            "in which a rigid platform shows nothing. A false sensor, or a platform that bends, "
-            "shows here whatever the model is.",
+            f"Single sensors: {sensors} sensors for {n} DOF leave {sensors - n} directions in "
+            "which a rigid platform cannot move. A faulty sensor or a flexible platform shows "
+            "here, independent of the model.",
         )
     ]

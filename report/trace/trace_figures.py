@@ -37,6 +37,8 @@ FLOOR = LineStyle(TRUTH.colour, width=2.4, alpha=0.6, zorder=2)
 _LETTER_IN = 0.085
 _LABEL_MOST = 56
 _ROW_IN = 0.23
+_LEAST_SHARE = 0.005
+"""Share that is 1 % when rounded; smaller ones have no number."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +129,9 @@ def candidates(
     Tick labels end at `last_tick`, because shares above 100 % have no meaning.
     """
     legend: list[Artist] = [
-        Patch(facecolor=colour("blue"), label="taken"),
-        Patch(facecolor=colour("sky"), label="passed the test too"),
-        Patch(facecolor=colour("edge"), label="fitted, did not pass"),
+        Patch(facecolor=colour("blue"), label="added"),
+        Patch(facecolor=colour("sky"), label="passed too"),
+        Patch(facecolor=colour("edge"), label="did not pass"),
     ]
     with drawing(sheet):
         grid = new_grid((1, 1), sheet, 0.27 * len(bars) + 0.45, legend)
@@ -190,6 +192,8 @@ def dependence_map(
                 _square(ax, j, i, after[i, j], facecolor=colour("blue"), edgecolor="none")
                 if before is not None:
                     _square(ax, j, i, before[i, j], **outline)
+                    _percent(ax, (j, i), before[i, j], "vermillion", sheet)
+                _percent(ax, (j, i), after[i, j], "ink", sheet)
         ax.set_xlim(-0.6, len(signals) - 0.4)
         ax.set_ylim(len(dof) - 0.4, -0.6)
         ax.set_xticks(range(len(signals)), [signal_text(s) for s in signals])
@@ -262,6 +266,18 @@ def _square(ax: Axes, x: float, y: float, share: float, **keywords: Any) -> None
     if side < 0.03:
         return
     ax.add_patch(Rectangle((x - side / 2, y - side / 2), side, side, **keywords))
+
+
+def _percent(ax: Axes, cell: tuple[int, int], share: float, role: str, sheet: Sheet) -> None:
+    """Write a share in percent into a corner of its cell: before above, after below."""
+    if share < _LEAST_SHARE:
+        return
+    upper = role != "ink"
+    ax.text(
+        cell[0] + (-0.4 if upper else 0.4), cell[1] + (-0.4 if upper else 0.4),
+        f"{100 * share:.0f}", color=colour(role), fontsize=sheet.font_pt - 2.5, zorder=5,
+        ha="left" if upper else "right", va="top" if upper else "bottom",
+    )  # fmt: skip
 
 
 def _dots(two: bool) -> list[Artist]:

@@ -1,7 +1,8 @@
-"""Write the report on a trace: error before, effects, error after, evidence."""
+"""Write the report on a trace: the answer, then parameters, evidence, method, provenance."""
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,6 @@ from ...identification.trace.found_effects_summary import (
     NO_STILL,
     NOISE_MOST,
     PERHAPS_A_PART,
-    SQUARE_MOST,
     FoundEffect,
     Outcome,
     RandomForce,
@@ -20,35 +20,178 @@ from ...identification.trace.found_effects_summary import (
     telling,
 )
 from ...identification.trace.run_trace import Trace
-from ..plotting.html_page import Figures, Number, Section, Steps, Text, write_report
+from ..plotting.figure_to_svg import Picture, to_svg
+from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
 from ..plotting.labelled_frequency_responses import symbol
 from ..session.session_page import listed
+from .affected_places import affected_places, can_be_drawn
+from .answer import Clause, answer
+from .effect_in_words import effect_in_words
 from .effect_sections import effect_sections, sizes
-from .number_format import amount, share_text, times_text, with_interval
+from .number_format import amount, times_text, with_interval
 from .residual_section import left_section
-from .trace_sections import error_section, model_section, records_section, search_section
+from .trace_sections import error_parts, model_section, records_section, search_section
 
 _MOST_NAMED = 2
 
 
-def trace_report(found: Trace, views: Views, out_dir: Path) -> Path:
+def trace_report(found: Trace, views: Views, out_dir: Path, command: str = "") -> Path:
     """Write the report on a trace to `out_dir` and return the page's path.
+
+    The page begins with the answer; parameters, evidence, method and provenance follow. `command`
+    reproduces the trace; it is shown at the end.
 
     Raises:
         OSError: the page cannot be written.
     """
     result = outcome(found)
+    spectrum, *errors = error_parts(found, result, views)
     sections = [
-        Section("Summary", (*_words(result, views), Figures(_numbers(result)))),
-        error_section(found, result, views),
-        *effect_sections(result, views),
-        search_section(found),
-        left_section(found, result, views),
+        Section("Answer", (*_answer(found, result), spectrum)),
+        *_effect_table(result, views),
         model_section(found),
-        records_section(found),
         Section("What next", (Steps(tuple(_steps(result, out_dir))),)),
+        *effect_sections(result, views),
+        Section("Error before and after", tuple(errors)),
+        left_section(found, result, views),
+        search_section(found),
+        records_section(found, command),
     ]
     return write_report(out_dir, f"Trace of {found.config.name}: {_title(result)}", sections)
+
+
+def _answer(found: Trace, result: Outcome) -> list[Part]:
+    parts: list[Part] = [
+        Text(answer([_clause(result, f) for f in result.effects], _left(result)), "lead")
+    ]
+    parts.append(Figures(_numbers(result)))
+    parts += [Text(text) for text in _notes(result)]
+    parts.append(
+        Text(
+            "Error: RMS of the difference between the readings and a simulation of the whole "
+            "record from the excitation alone, on records that neither fitted the model nor chose "
+            "the effects. Times the noise: this error over the error that sensor and amplifier "
+            "noise alone would leave.",
+            "note",
+        )
+    )
+    effects = [f.effect for f in result.effects]
+    words = [effect_in_words(f.effect, f.parameters()) for f in result.effects]
+    if effects and can_be_drawn(found.places):
+        parts.append(
+            Picture(
+                "platform",
+                to_svg(affected_places(found.places, effects, words)),
+                "The platform from above with the places of the effects marked.",
+                "Where the effects act.",
+            )
+        )
+    return parts
+
+
+def _clause(result: Outcome, found: FoundEffect) -> Clause:
+    return Clause(
+        effect_in_words(found.effect, found.parameters()),
+        tuple(e.name for e in found.others),
+        result.in_doubt(found) or bool(result.perhaps_part_of(found)),
+        found.unknown,
+    )
+
+
+def _left(result: Outcome) -> str:
+    """Return a sentence on what the model and its effects leave."""
+    ratio = f"{times_text(result.after / result.floor)} times the noise"
+    parts = [
+        f"A random force shakes the platform: {force.name}. It cannot be predicted."
+        for force in result.shaken
+    ]
+    if result.overrated:
+        parts.append(
+            "There is no conclusion on the remaining error: the noise was overestimated, because "
+            "the readings contain more than noise at their highest frequencies. Sample faster, or "
+            "excite less there."
+        )
+    elif not result.noise_measured:
+        parts.append(
+            "There is no conclusion on the remaining error: no record without excitation measures "
+            "the noise."
+        )
+    elif not result.significant:
+        parts.append(
+            "Nothing else is left: the remaining error is noise."
+            if result.effects or result.shaken
+            else "The declared model explains these records down to the noise. No undeclared "
+            "effect was found."
+        )
+    elif result.after <= NOISE_MOST * result.floor:
+        parts.append(
+            "A small error is left, which shows one step ahead only. No known effect explains it."
+        )
+    else:
+        worst = max(result.dof, key=lambda d: d.after / d.floor)
+        also = "" if result.shaken else " No known effect explains the rest."
+        parts.append(
+            f"An error of {ratio} is left, most in {symbol(worst.name)} from "
+            f"{worst.band_hz[0]:.2g} to {worst.band_hz[1]:.2g} Hz.{also}"
+        )
+    return " ".join(parts)
+
+
+def _notes(result: Outcome) -> list[str]:
+    """Return what a reader must know beside the answer."""
+    texts = [_doubt(result, f) for f in result.effects]
+    texts += [_shaken(force) for force in result.shaken]
+    if result.doubt:
+        texts.append(
+            f"All names are uncertain: {result.doubt}. If the true effect is not in the table, "
+            "other effects explain a part of it."
+        )
+    if result.declared:
+        names = listed([f.effect.name for f in result.declared])
+        texts.append(f"The model declares these effects already; they were refitted: {names}.")
+    if result.gone:
+        texts.append(
+            f"Removed, because other effects explain the same error: {listed(list(result.gone))}."
+        )
+    if not result.noise_measured:
+        texts.append(NO_STILL)
+    return [text for text in texts if text]
+
+
+def _effect_table(result: Outcome, views: Views) -> list[Section]:
+    """Return the section with the numbers of all effects; none without effects."""
+    rows = []
+    for found in (*result.effects, *result.declared):
+        why = found.evidence
+        values = "; ".join(f"{name} = {with_interval(p)}" for name, p in _shown(found))
+        size = sizes(found, views)
+        rows.append(
+            (
+                found.effect.name,
+                values,
+                "—" if size is None else f"{amount(size[2], size[1])} {size[0]}",
+                "—" if why is None or not math.isfinite(why.support) else f"{why.support:.2f}",
+                "declared" if why is None else f"{why.statistic:.0f}",
+            )
+        )
+    if not rows:
+        return []
+    head = ("effect", "parameters", "RMS force or reading", "support", "z of held-out data")
+    return [
+        Section(
+            "Effects",
+            (
+                Table("Effects with 95 % intervals", head, tuple(rows), labels=3),
+                Text(
+                    "Support: share of data resamples in which the search chooses this effect or "
+                    "one that the records do not tell from it, calibrated on simulated plants. z: "
+                    "agreement of the effect's prediction with data that did not fit it, in "
+                    "standard deviations of chance.",
+                    "note",
+                ),
+            ),
+        )
+    ]
 
 
 def _title(result: Outcome) -> str:
@@ -63,110 +206,17 @@ def _title(result: Outcome) -> str:
     return "nothing can be told" if unknown else "nothing found"
 
 
-def _words(result: Outcome, views: Views) -> list[Text]:
-    texts = [Text(_headline(result), "lead")]
-    texts += [Text(_sentence(f, views) + _doubt(result, f)) for f in result.effects]
-    texts += [Text(_shaken(force)) for force in result.shaken]
-    if result.declared:
-        names = listed([f.effect.name for f in result.declared])
-        texts.append(Text(f"Declared in the model already, and refitted: {names}."))
-    if result.gone:
-        texts.append(
-            Text(f"Given up, since others explain what it did: {listed(list(result.gone))}.")
-        )
-    if not result.noise_measured:
-        texts.append(Text(NO_STILL))
-    if result.doubt:
-        texts.append(
-            Text(
-                f"All of this is in doubt: {result.doubt}. The best of a table that lacks what is "
-                "there takes something too; these may stand for it."
-            )
-        )
-    if result.effects:
-        texts.append(Text(_rest(result)))
-    return texts
-
-
-def _headline(result: Outcome) -> str:
-    before, after, floor = (f"{v:.3g}" for v in (result.before, result.after, result.floor))
-    measure = "times the sensors' noise (RMS, free-running, on records that were not fitted)"
-    if not result.noise_measured:
-        found = f"; with {_count(len(result.effects))} found, {after}" if result.effects else ""
-        return (
-            f"The declared model misses these records by {before} times the estimated noise (RMS, "
-            f"free-running, on records that were not fitted){found}. No record tells how much of "
-            "that is noise."
-        )
-    if result.effects:
-        return (
-            f"The declared model misses these records by {before} {measure}; with "
-            f"{_count(len(result.effects))} that the records tell of it misses them by {after}. "
-            f"Noise alone leaves {floor}."
-        )
-    if result.shaken:
-        return (
-            f"The model misses these records by {after} {measure}, where noise alone would leave "
-            f"{floor}. What is left repeats nothing that is flown: something shakes the platform."
-        )
-    if result.significant:
-        return (
-            f"The model misses these records by {after} {measure}, where noise alone would leave "
-            f"{floor}. More than noise is left, and no effect of the table explains it beyond "
-            "chance: what it depends on is drawn below."
-        )
-    if result.overrated:
-        return (
-            f"Nothing can be told. The model misses these records by {after} {measure}, but one "
-            f"step ahead the errors have {result.mean_square:.2g} of the variance that was taken "
-            "for the sensors' noise: it is read at the readings' highest frequencies, and there is "
-            "more than noise there. Sample faster, or excite less up there."
-        )
-    return (
-        f"Nothing found. The model misses these records by {after} {measure}; noise alone leaves "
-        f"{floor}. No effect of the table explains anything beyond chance."
-    )
-
-
-def _count(number: int) -> str:
-    return "one effect" if number == 1 else f"{number} effects"
-
-
-def _sentence(found: FoundEffect, views: Views) -> str:
-    effect, why = found.effect, found.evidence
-    values = listed([f"{name} = {with_interval(p)}" for name, p in _shown(found)])
-    text = f"{effect.name}: {values} (95 %)."
-    if found.others:
-        text = f"One of these: {found.name}. If it is {effect.name}: {values} (95 %)."
-    if found.unknown:
-        text = f"No known effect: {effect.name}, described by a free form."
-    size = sizes(found, views)
-    if size is not None:
-        place, unit, rms, most = size
-        text += f" It is {amount(rms, unit)} RMS {place}, {amount(most, unit)} at most."
-    if why is not None:
-        share = "" if why.share is None else f"explains {share_text(why.share)} and "
-        others = "held-out records" if why.held else "blocks of time that did not fit it"
-        text += (
-            f" It {share}agrees with {others} {why.statistic:.0f} standard deviations beyond "
-            "chance."
-        )
-        laws = [e.name for e in why.alternatives if e not in found.others]
-        if found.others:
-            text += " These records do not tell them apart."
-        if laws:
-            text += f" Other laws fit as well: {listed(laws)}."
-    return text
-
-
 def _doubt(result: Outcome, found: FoundEffect) -> str:
     if result.perhaps_part_of(found):
-        return f" It is {PERHAPS_A_PART}: the table lacks what is there, and this may be its best."
+        return (
+            f"{found.effect.name} is {PERHAPS_A_PART}. The true effect may not be in the table, "
+            "and this may be the nearest one."
+        )
     if found.evidence and result.in_doubt(found) and not result.doubt:
         return (
-            " It is in doubt: of the squared prediction error without it, "
-            f"{share_text(found.evidence.left_share)} is left. If the table lacks what is there, "
-            "its best takes something too."
+            f"{found.effect.name} is uncertain: it leaves "
+            f"{100 * found.evidence.left_share:.2g} % of the squared prediction error above noise. "
+            "If the true effect is not in the table, the nearest one explains a part of it."
         )
     return ""
 
@@ -175,10 +225,9 @@ def _shaken(force: RandomForce) -> str:
     s = force.shaking
     rms = with_interval(EffectParameter(value=s.rms, se=s.se, unit=force.unit))
     return (
-        f"{force.name}: {rms} RMS (95 %). The force that the model lacks there is the same in "
-        "still records as in excited ones, and in held-out ones stands out of the noise by "
-        f"{s.statistic:.0f} standard deviations. Nobody can foretell it, so it is no part of the "
-        "model, and the error stays: look for what shakes the floor, or blows."
+        f"{force.name}: {rms} RMS (95 %). The missing force is the same in records with and "
+        f"without excitation (z = {s.statistic:.0f} on held-out data). It is no part of the model, "
+        "and its error remains: look for a source of vibration or wind."
     )
 
 
@@ -187,50 +236,28 @@ def _shown(found: FoundEffect) -> list[tuple[str, EffectParameter]]:
     return [(n, p) for n, p in found.parameters().items() if p.value != 0.0 or p.se]
 
 
-def _rest(result: Outcome) -> str:
-    if not result.significant and result.noise_measured and not result.overrated:
-        return "What is left is noise: no other effect of the table explains anything of it."
-    if not result.significant:
-        return f"{result.rest[0].upper()}{result.rest[1:]}."
-    worst = max(result.dof, key=lambda d: d.after / d.floor)
-    if result.after <= NOISE_MOST * result.floor:
-        return (
-            "One step ahead a little more than noise is left (mean square "
-            f"{result.mean_square:.3f}), and no other effect of the table explains it beyond "
-            "chance."
-        )
-    return (
-        "More is left than noise, and no other effect of the table explains it beyond chance: "
-        f"most on {symbol(worst.name)}, {times_text(worst.after / worst.floor)} times the noise, "
-        f"between {worst.band_hz[0]:.3g} and {worst.band_hz[1]:.3g} Hz."
-    )
-
-
 def _numbers(result: Outcome) -> tuple[Number, ...]:
     ratio = result.after / result.floor
-    without = Number(
-        f"{result.before / result.floor:.3g}", "times the noise: error without effects"
+    before = Number(
+        times_text(result.before / result.floor), "times the noise: error before, without effects"
     )
     numbers = [
-        *([without] if result.effects else []),
+        *([before] if result.effects else []),
         Number(
-            f"{ratio:.3g}",
-            "times the noise: error" + (" with effects" if result.effects else ""),
+            times_text(ratio),
+            "times the noise: error" + (" after, with effects" if result.effects else ""),
             "good" if ratio <= NOISE_MOST else "bad",
         ),
-        Number(
-            str(len(result.effects) + len(result.shaken)), "effects found that were not declared"
-        ),
-        Number(
-            f"{result.mean_square:.3f}",
-            "mean square of held-out one-step errors, 1 for noise",
-            "bad" if result.mean_square > SQUARE_MOST else "good",
-        ),
     ]
-    doubtful = sum(bool(f.evidence and f.evidence.alternatives) for f in result.effects)
+    supports = [f.evidence.support for f in result.effects if f.evidence is not None]
+    supports = [s for s in supports if math.isfinite(s)]
+    if supports:
+        most = "the effect" if len(supports) == 1 else "the least certain effect"
+        numbers.append(Number(f"{min(supports):.2f}", f"support of {most}, of 1"))
+    doubtful = sum(bool(f.others) for f in result.effects)
     if doubtful:
         numbers.append(
-            Number(str(doubtful), "of them that these records do not tell from others", "doubt")
+            Number(str(doubtful), "effects that these records do not tell from others", "doubt")
         )
     return tuple(numbers)
 
@@ -242,41 +269,43 @@ def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
         if f.evidence is not None and f.evidence.alternatives:
             names = listed([e.name for e in f.others or f.evidence.alternatives])
             how = telling(f) or "another excitation"
-            steps.append((f"Tell {f.effect.name} from {names}: {how}.", ""))
+            steps.append((f"To tell {f.effect.name} from {names}, record: {how}.", ""))
     if result.significant:
         steps.append(
             (
-                "Look at what the rest depends on, and write the effect that would do it into the "
-                "table: docs/trace.md says how.",
+                "See below what the remaining error depends on. You can add your own effect to the "
+                "table: docs/trace.md shows how.",
                 "",
             )
         )
     if result.effects or result.declared:
         steps.append(
             (
-                "Identify with the effects in the model: they are taken out of the records first.",
+                "Identify the plant with these effects in the model. Their force is subtracted "
+                "from the records first.",
                 f"levid identify LOG... --model {model} --out DIR",
             )
         )
         steps.append(
             (
-                "Fly again on another day and trace with this model: nothing should be found.",
+                "Fly again on another day and trace with this model. The trace should find "
+                "nothing.",
                 f"levid trace LOG... --model {model} --out DIR",
             )
         )
     if not steps and not result.noise_measured:
         steps.append(
             (
-                "Record a stretch without excitation as well: it tells noise from the model's "
-                "error, which these records do not.",
+                "Add a record without excitation to the session. It measures the noise, so that "
+                "the trace can tell noise from model error.",
                 "",
             )
         )
     elif not steps:
         steps.append(
             (
-                "Nothing: the model is as good as these records can tell. Larger or longer "
-                "excitation would show smaller effects.",
+                "The model is as good as these records can show. Excite more, or longer, to find "
+                "smaller effects.",
                 "",
             )
         )

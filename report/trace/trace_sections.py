@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ... import __version__
 from ...config.model import ModelParameter
 from ...identification.records.record import OTHER_STEP
 from ...identification.trace.figure_data import Views
@@ -17,11 +18,19 @@ from ...identification.trace.run_trace import Trace
 from ...identification.trace.search.predictive_criterion import certainty
 from ...identification.trace.search.tested_candidate import Round
 from ..plotting.figure_to_svg import Picture, to_svg
-from ..plotting.html_page import Part, Section, Table, Text
+from ..plotting.html_page import Part, Section, Steps, Table, Text
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.style import engineering
 from ..session.session_page import listed
-from .number_format import CONFIDENCE, amount, change_text, plain, times_text, unit_text
+from .number_format import (
+    CONFIDENCE,
+    amount,
+    change_text,
+    plain,
+    significant,
+    times_text,
+    unit_text,
+)
 from .trace_figures import Bar, candidates, error_spectra, errors_by_record
 
 Array = NDArray[np.float64]
@@ -32,8 +41,8 @@ _MOST_BARS = 8
 _NOISE = 0.01
 
 
-def error_section(found: Trace, result: Outcome, views: Views) -> Section:
-    """Return the section on errors by DOF and record: physical units, percent, over noise."""
+def error_parts(found: Trace, result: Outcome, views: Views) -> list[Part]:
+    """Return the error over frequency, then errors by DOF and record."""
     names = [symbol(d.name) for d in result.dof]
     floor = np.array([e.pose_floor for e in found.after])
     over_before, over_after = (
@@ -43,24 +52,8 @@ def error_section(found: Trace, result: Outcome, views: Views) -> Section:
     labels = [e.name for e in found.after]
     dof = [d.name for d in result.dof]
     freq_hz, densities, short = _pooled_spectra(found, views)
-    but = f", but for {listed(short)}, too short or of another rate for these lines"
+    but = f", without {listed(short)} (too short, or another rate)"
     parts: list[Part] = [
-        Text(
-            "Held-out records, simulated freely from the excitation and the beam's motion alone; "
-            "their first 5 s (or third) give the state to start from, and do not count. The "
-            "declared model was fitted to the other records before, so what effects gain is not "
-            "what fitting gains."
-        ),
-        _dof_table(result),
-        Picture(
-            "trace-records",
-            to_svg(
-                errors_by_record(labels, dof, over_before if result.effects else None, over_after)
-            ),
-            "Error over noise of every held-out record and DOF, without and with effects.",
-            "Error of every held-out record over what noise alone would leave of it.",
-        ),
-        _record_table(found, result, names),
         Picture(
             "trace-spectrum",
             to_svg(
@@ -71,19 +64,34 @@ def error_section(found: Trace, result: Outcome, views: Views) -> Section:
                     [d.unit for d in result.dof],
                 )
             ),
-            "Spectra of the free-running error without and with effects, and of the noise.",
-            "Where in frequency the error sits: spectra over all held-out records"
-            f"{but if short else ''}.",
+            "Spectra of the simulation error without and with effects, and of the noise.",
+            "Simulation error over frequency, before and after, beside the noise; all held-out "
+            f"records{but if short else ''}.",
         ),
+        Text(
+            "Held-out records, simulated from the excitation and the beam's motion alone. Their "
+            "first 5 s, or a third, give the initial state and do not count. The declared model "
+            "was fitted to the other records before, so the effects alone reduce the error."
+        ),
+        _dof_table(result),
+        Picture(
+            "trace-records",
+            to_svg(
+                errors_by_record(labels, dof, over_before if result.effects else None, over_after)
+            ),
+            "Error over noise of every held-out record and DOF, without and with effects.",
+            "Error of every held-out record, over the error that noise alone would leave.",
+        ),
+        _record_table(found, result, names),
     ]
     if result.unsettled:
         parts.append(
             Text(
-                f"The simulation with effects found no end in {', '.join(result.unsettled)}: the "
-                "error there is not to be trusted."
+                f"The simulation with effects did not converge in {', '.join(result.unsettled)}: "
+                "the error there is not reliable."
             )
         )
-    return Section("Error before and after", tuple(parts))
+    return parts
 
 
 def _dof_table(result: Outcome) -> Table:
@@ -160,12 +168,11 @@ def search_section(found: Trace) -> Section:
     """Return the section on the candidates of every round."""
     parts: list[Part] = [
         Text(
-            "Every round tries all effects of the table, each beside the model and the effects "
-            "found so far; blocks of time that did not fit it tell what it explains. Those that "
-            "explain most are fitted and tested: data that did not fit one must agree with it "
-            "beyond chance, and it must take a tenth of what there is. The best of those that "
-            "pass is fitted with the whole model, tested again and taken. Once held-out records "
-            "are simulated as well as their noise allows, only what the drives alone feel is tried."
+            "Each round tries all effects of the table, one at a time, beside the model and the "
+            "effects found so far. Cross-validation over blocks of time rates them. The best are "
+            "fitted; one passes if it explains a tenth of the error, and data that did not fit it "
+            "agree with it beyond chance. The best one that passes is fitted with the whole model, "
+            "tested again and added. The search ends when no effect passes."
         )
     ]
     for number, r in enumerate(found.found.rounds, start=1):
@@ -177,12 +184,14 @@ def search_section(found: Trace) -> Section:
                 f"trace-round-{number}",
                 to_svg(_candidates(r, bars)),
                 f"What the best candidates of round {number} explain of what was left.",
-                f"Round {number}: {_result(r)} Beside each bar how far data that did not fit it "
-                "agree with it, in standard deviations of chance.",
+                f"Round {number}: {_result(r)} Beside each bar: agreement with data that did not "
+                "fit it, in standard deviations of chance.",
             )
         )
     return Section(
-        "How it was found" if found.found.point.placed else "What was tried", tuple(parts)
+        "Search",
+        tuple(parts),
+        folded=True,
     )
 
 
@@ -217,13 +226,17 @@ def _result(r: Round) -> str:
     left = r.excess / r.count
     text = f"the mean square of the errors is {1 + left:.3f}, 1 being noise."
     if r.taken is not None:
-        text += f" {r.taken.effect.name} was taken"
+        text += f" {r.taken.effect.name} was added"
         if r.instead_of is not None:
-            text += f" in the place of {r.instead_of.name}, from which the search had come less far"
+            text += f" in place of {r.instead_of.name}, which explains less"
         if r.alternatives:
-            text += ", though " + ", ".join(t.effect.name for t in r.alternatives) + " fit no worse"
+            text += (
+                ", although "
+                + ", ".join(t.effect.name for t in r.alternatives)
+                + " fit equally well"
+            )
         return text + "."
-    return text + " None was taken: none explains enough, beyond chance."
+    return text + " No effect was added: none explains enough, beyond chance."
 
 
 def model_section(found: Trace) -> Section:
@@ -243,12 +256,9 @@ def model_section(found: Trace) -> Section:
     )
     head = ("parameter", "unit", "declared", "fitted without effects", "with effects", "± 95 %")
     return Section(
-        "The model's own parameters",
+        "Model parameters",
         (
-            Text(
-                "Fitted anew with every effect: what effects take from them is no longer bent into "
-                "them."
-            ),
+            Text("The model's parameters were fitted together with the effects."),
             Table("Free parameters of the declared model, SI units", head, rows, labels=2),
         ),
     )
@@ -256,12 +266,16 @@ def model_section(found: Trace) -> Section:
 
 def _with_error(parameter: ModelParameter) -> tuple[str, str]:
     if parameter.se is None:
-        return plain(parameter.value), "not told"
-    return plain(parameter.value), plain(CONFIDENCE * parameter.se, 2)
+        return plain(parameter.value), "unknown"
+    half = CONFIDENCE * parameter.se
+    digits = 6
+    if 0.0 < half < abs(parameter.value):
+        digits = 2 + int(np.floor(np.log10(abs(parameter.value))) - np.floor(np.log10(half)))
+    return significant(parameter.value, digits), plain(half, 2)
 
 
-def records_section(found: Trace) -> Section:
-    """Return the section on fitted, held-out and omitted records."""
+def records_section(found: Trace, command: str = "") -> Section:
+    """Return the section on fitted, held-out and omitted records, and the command."""
     noise = found.found.point.disturbance
     unit = found.places.sensor_unit
     factor, prefix = engineering(noise.sensor_sd, unit)
@@ -271,14 +285,14 @@ def records_section(found: Trace) -> Section:
         Text(
             f"Noise of a sensor: {factor * noise.sensor_sd:.3g} {prefix}{unit} RMS, "
             + (
-                "and of the force, both from still records."
+                "and of the force: both were measured in records without excitation."
                 if noise.measured
-                else "of the force as the fit has it, undeclared effects and all: no record is "
-                "still."
+                else "and of the force: estimated from the residual of the fit, which includes "
+                "undeclared effects, because every record has excitation."
             )
         ),
         Table(
-            "Records; one that is the only one of its kind is cut, and its end held out",
+            "Records. The only record of its kind is split, and its end is held out",
             ("record", "use"),
             tuple(dict.fromkeys(rows)),
             2,
@@ -287,10 +301,11 @@ def records_section(found: Trace) -> Section:
     notes = [n for n in found.notes if OTHER_STEP not in n]
     if notes:
         head = ("log or record", "what happened")
-        parts.append(
-            Table("Left out, or made good", head, tuple(_split(n) for n in notes), len(head))
-        )
-    return Section("Records", tuple(parts))
+        parts.append(Table("Omitted or repaired", head, tuple(_split(n) for n in notes), len(head)))
+    parts.append(Text(f"Written by levid {__version__}.", "note"))
+    if command:
+        parts.append(Steps((("This command repeats the trace:", command),)))
+    return Section("Records and provenance", tuple(parts))
 
 
 def _split(note: str) -> tuple[str, str]:

@@ -162,7 +162,7 @@ def test_trace_finds_no_effect_if_the_model_has_it(
     assert before.se is not None
     assert abs(after.value - before.value) < before.se
     page = (tmp_path / "again" / "index.html").read_text()
-    assert "Nothing found" in page
+    assert "No undeclared effect was found" in page
 
 
 def test_identify_includes_the_effects_of_the_model(flown: Path) -> None:

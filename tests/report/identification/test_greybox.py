@@ -101,12 +101,13 @@ def test_report_of_a_fitted_model_alone(grey, tmp_path):
         "Fig. 13 of the paper",
         "Fig. 14 of the paper",
         "4 of 5",
-        "stayed as declared",
+        "kept the declared value",
         "moving",
     ):
         assert expected in text, expected
     assert sorted(f.stem for f in (tmp_path / "figures").iterdir()) == [
-        *("fitted-response", "residual-correlation", "residual-spectrum", "simulated-1")
+        *("fitted-phase", "fitted-response"),
+        *("residual-correlation", "residual-spectrum", "simulated-1"),
     ]
     assert max(f.stat().st_size for f in (tmp_path / "figures").iterdir()) < 300_000
 
@@ -169,7 +170,7 @@ def test_response_is_compared_with_the_truth(grey):
     # The damping is known to 3.6 %, the resonance to 0.3 dB and 2 degrees; three times that.
     assert decibel < 1.0
     assert degree < 6.0
-    assert page_text(grey_box_sections(report)).count("truth of the simulator") == 1
+    assert page_text(grey_box_sections(report)).count("truth of the simulator") == 2
 
 
 def with_slide_in_the_middle(grey):

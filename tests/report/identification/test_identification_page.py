@@ -88,7 +88,7 @@ def words(page):
 def test_page_has_the_figures_of_the_paper(result, with_truth):
     text = words(with_truth)
     for expected in (
-        *("Summary", "How many states", "The plant", "How well it agrees", "What it rests on"),
+        *("Answer", "Ho-Kalman: model order", "Ho-Kalman: plant", "agreement of the methods"),
         *("Records", "What next", "Fig. 9", "Fig. 10", "Fig. 12"),
         *("left (−100 mm)", "middle (0 mm)", "right (+100 mm)"),
         *("truth of the simulator", "rad/(N m)", f"{result.points[0].order.order} states"),
@@ -117,7 +117,7 @@ def test_remarks_and_omitted_logs_are_reported_and_escaped(without_truth):
 
 def test_page_without_truth_does_not_mention_it(without_truth):
     text = words(without_truth)
-    assert "No truth was given" in text
+    assert "Judge the model by held-out data" in text
     assert "truth of the simulator" not in text
     assert not re.search(r"agreement-2", text)
     assert "--virtual" not in text  # the records come from a real rig
@@ -179,12 +179,12 @@ def test_unreliable_model_is_marked_and_not_evaluated(result, truth, tmp_path):
     assert report.ho_kalman[0].doubtful
     assert not report.sensitivity[0].doubtful  # it needs no model
     text = words(identification_report(one, None, tmp_path, truth))
-    assert "beam left (−100 mm), is not to be trusted: it is &lt;unstable&gt;" in text
+    assert "at beam left (−100 mm) is not reliable: it is &lt;unstable&gt;" in text
     assert 'class="doubt"><dt>model by Ho-Kalman, beam left (−100 mm): it is' in text
-    assert "where it is to be trusted" in text
-    assert "Do not use the model by Ho-Kalman, beam left" in text
+    assert "where it is reliable" in text
+    assert "Do not use the model by Ho-Kalman at beam left" in text
     figure = (tmp_path / "figures" / "plant-ho-kalman.svg").read_text(encoding="utf-8")
-    assert "left (−100 mm), not to be trusted" in figure
+    assert "left (−100 mm), not reliable" in figure
 
 
 def test_numbers_are_marked_if_all_models_are_unreliable(result, truth):
@@ -193,7 +193,7 @@ def test_numbers_are_marked_if_all_models_are_unreliable(result, truth):
     for meaning, verdict in by_meaning.items():
         of_model = not meaning.startswith(SENSITIVITY)
         assert (verdict == "doubt") == of_model, meaning
-    assert f"{HO_KALMAN} against the truth at worst, up to 64 Hz; not to be trusted" in by_meaning
+    assert f"{HO_KALMAN} against the truth at worst, up to 64 Hz; not reliable" in by_meaning
 
 
 def test_each_figure_number_of_the_paper_appears_once(with_truth):
@@ -220,7 +220,7 @@ def test_report_without_a_known_controller(open_result, tmp_path):
     assert "Identification of measured" in text
     assert "m/V" in text
     for expected in (
-        "Data kept back",
+        "Held-out data",
         "Frequency response",
         "Order of the model",
         "one step ahead",

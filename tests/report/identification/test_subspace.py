@@ -67,7 +67,7 @@ def test_error_against_the_truth_is_reported(points, truth):
     (words,) = subspace_words(report)
     assert isinstance(words, Text)
     assert "of the simulator's truth" in words.text
-    assert "the one to use" in words.text
+    assert "the most accurate model" in words.text
 
 
 def test_report_without_truth_does_not_mention_it(points):
@@ -80,8 +80,8 @@ def test_report_without_truth_does_not_mention_it(points):
 def test_unreliable_model_is_not_recommended(points):
     unreliable = replace(points[0], subspace=replace(points[0].subspace, doubts=("it is odd",)))
     (words,) = subspace_words(subspace_report([unreliable], RIG_SIGNALS))
-    assert "not to be trusted at" in words.text
-    assert "the one to use" not in words.text
+    assert "not reliable at" in words.text
+    assert "the most accurate model" not in words.text
     assert unreliable.recommended is not unreliable.subspace.plant
 
 

@@ -1,0 +1,73 @@
+"""Compute natural frequencies and damping ratios of a fitted model, with standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.declared_model import DeclaredModel
+from ..subspace.response_uncertainty import Modes
+from .fit import Fit
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_DIFFERENCE = 1e-2
+"""Half of a central difference, over the standard error."""
+
+
+def fitted_modes(fit: Fit, schedule: Mapping[str, float]) -> Modes:
+    """Return the modes of M q'' + D q' + K q at a scheduling point, without lag and delay.
+
+    Standard errors are to first order in those of the parameters; fixed parameters count as exact.
+    Of a complex pair one pole is listed.
+    """
+    poles = _poles(fit.model, schedule)
+    slopes = []
+    for name, error in fit.standard_errors.items():
+        if not error > 0:
+            slopes.append(np.zeros(len(poles), complex))
+            continue
+        value, step = fit.values[name], _DIFFERENCE * error
+        low, high = (
+            _matched(poles, _poles(fit.model.with_values({name: x}), schedule))
+            for x in (value - step, value + step)
+        )
+        slopes.append((high - low) / (2 * _DIFFERENCE))
+    J = np.array(slopes).reshape(len(slopes), len(poles))
+    size = np.sqrt(np.diag(fit.covariance))
+    size = np.where(size > 0, size, 1.0)
+    scaled = fit.covariance / size[:, None] / size
+    along = np.real(np.conj(poles) * J) / np.abs(poles)  # d|s|
+    damping = -J.real / np.abs(poles) + poles.real * along / np.abs(poles) ** 2
+    frequency_se, damping_se = (
+        np.sqrt(np.maximum(np.einsum("ak,ab,bk->k", d, scaled, d), 0.0)) for d in (along, damping)
+    )
+    return Modes(
+        np.abs(poles) / (2 * np.pi),
+        frequency_se / (2 * np.pi),
+        -poles.real / np.abs(poles),
+        damping_se,
+    )
+
+
+def _poles(model: DeclaredModel, schedule: Mapping[str, float]) -> Complex:
+    """Return the poles (k,) in rad/s with imaginary part >= 0, by ascending size."""
+    at = model.at(schedule)
+    n = len(at.M)
+    A = np.block(
+        [
+            [np.zeros((n, n)), np.eye(n)],
+            [-np.linalg.solve(at.M, at.K), -np.linalg.solve(at.M, at.D)],
+        ]
+    )
+    s = np.linalg.eigvals(A).astype(complex)
+    s = s[(s.imag >= 0) & (np.abs(s) > 0)]
+    return np.asarray(s[np.argsort(np.abs(s), kind="stable")])
+
+
+def _matched(poles: Complex, others: Complex) -> Complex:
+    """Return the nearest of the other poles to each pole."""
+    return np.asarray(others[np.argmin(np.abs(poles[:, None] - others), axis=1)])

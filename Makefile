@@ -11,7 +11,7 @@ DEV := $(VENV)/.installed-dev
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-long test-beside test-rest test-rig bench lint format lock clean
+.PHONY: help demo test test-long test-beside test-rest test-rig bench lint docs format lock clean
 
 help:
 	@echo "make demo      fly, identify and trace the simulated rig; print the paths of the reports"
@@ -19,6 +19,7 @@ help:
 	@echo "make test-long run the long tests: processes killed in flight, many traces; about seven minutes"
 	@echo "make test-rig  run the daemon on vcan in a virtual machine, also as a service (Debian, Ubuntu; root)"
 	@echo "make bench     run every benchmark with --quick"
+	@echo "make docs      build the documentation site into build/site"
 	@echo "make lint      run ruff, mypy and import-linter"
 	@echo "make format    format the code and sort imports with ruff"
 	@echo "make lock      update the lock files from pyproject.toml (delete them first to upgrade packages)"
@@ -54,6 +55,11 @@ test-beside: $(DEV)
 
 test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh
+
+# Warnings are errors: a link that leads nowhere, a page that no table of contents lists.
+docs: $(DEV) build/typecheck/levid
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/site
+	@echo "build/site/index.html"
 
 bench: $(DEV)
 	@failed=; for file in $$(grep -lE "benchmark_runner|show_plants" $$(grep -l __main__ benchmarks/*/*.py)); do \

@@ -17,7 +17,7 @@ from levid import __version__  # noqa: E402 - after the path
 
 project = "levid"
 author = "levid contributors"
-copyright = author  # noqa: A001 - the name that sphinx reads
+copyright = author
 version = release = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
@@ -53,8 +53,8 @@ _PAGES = {
 
 def setup(app: Sphinx) -> None:
     """Translate links between files of the repository into links between pages."""
-    app.connect("include-read", lambda app, path, doc, content: _translate(content))
-    app.connect("source-read", lambda app, doc, content: _translate(content))
+    app.connect("include-read", lambda *event: _translate(event[-1]))
+    app.connect("source-read", lambda *event: _translate(event[-1]))
 
 
 def _translate(content: list[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from .base import Finite, NonNegative, Positive, Strict, load_yaml
 from .units import si_slip
@@ -15,18 +15,27 @@ Entry = Finite | str
 Matrix = tuple[tuple[Entry, ...], ...]
 
 
+def _si(unit: str) -> str:
+    if slip := si_slip(unit):
+        raise ValueError(slip)
+    return unit
+
+
+SiUnit = Annotated[str, AfterValidator(_si)]
+
+
 class Axis(Strict):
     """A degree of freedom or an input of the model, with its unit."""
 
     name: Identifier
-    unit: str
+    unit: SiUnit
 
 
 class ModelParameter(Strict):
     """A parameter in SI units; a `fixed` one is not fitted, `se` is the fit's standard error."""
 
     value: Finite
-    unit: str
+    unit: SiUnit
     min: Finite | None = None
     max: Finite | None = None
     fixed: bool = False
@@ -34,13 +43,6 @@ class ModelParameter(Strict):
     """Prior standard deviation of the value, before any record."""
     se: NonNegative | None = None
     about: str = ""
-
-    @field_validator("unit")
-    @classmethod
-    def _is_si(cls, unit: str) -> str:
-        if slip := si_slip(unit):
-            raise ValueError(slip)
-        return unit
 
     @model_validator(mode="after")
     def _bounds(self) -> Self:
@@ -59,7 +61,7 @@ class ModelParameter(Strict):
 class Scheduling(Strict):
     """A scheduling variable of the matrices: a field of the log or its time derivative."""
 
-    unit: str
+    unit: SiUnit
     signal: str
     derivative: bool = False
     value: Finite = 0.0
@@ -71,7 +73,7 @@ class EffectParameter(Strict):
     """A parameter of an effect in SI units; `se` is the trace's standard error."""
 
     value: Finite
-    unit: str
+    unit: SiUnit
     se: NonNegative | None = None
 
 

@@ -44,3 +44,17 @@ def test_a_parameter_in_another_unit_is_an_error(unit: str, said: str) -> None:
     with pytest.raises(ConfigError, match=r"parameters\.m\.unit: ") as caught:
         parse_text(MODEL.replace("UNIT", unit), ModelConfig, "model")
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        ("{name: x, unit: m}", "{name: x, unit: mm}", "dof[0].unit"),
+        ("{name: f, unit: N}", "{name: f, unit: kN}", "inputs[0].unit"),
+    ],
+)
+def test_a_motion_or_an_input_in_another_unit_is_an_error(old: str, new: str, where: str) -> None:
+    text = MODEL.replace("UNIT", "kg")
+    with pytest.raises(ConfigError) as caught:
+        parse_text(text.replace(old, new), ModelConfig, "model")
+    assert f"{where}: expected an SI unit without prefix" in str(caught.value)

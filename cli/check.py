@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .path_types import FOLDER, RIG, YAML_OR_LOG
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -25,11 +27,11 @@ _LEAST_REPORTED = 1e-3
 
 
 @click.command("check")
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", nargs=-1, required=True, type=YAML_OR_LOG)
 @click.option(
     "--rig",
     "rig_path",
-    type=click.Path(path_type=Path),
+    type=RIG,
     help="RIG.yaml to check sessions against. Default: the shipped loopback rig.",
 )
 @click.option(
@@ -40,7 +42,7 @@ _LEAST_REPORTED = 1e-3
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     help="With --preflight, the folder for the logs. Default: this folder.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")

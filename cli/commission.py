@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .output_folder_check import quoted, writable_folder
+from .path_types import RIG, YAML
 from .progress import progress, say
 
 if TYPE_CHECKING:
@@ -26,11 +27,11 @@ _COILS_A_WEIGHT = 14.0
 
 
 @click.command("commission")
-@click.argument("rig", type=click.Path(path_type=Path))
+@click.argument("rig", type=RIG)
 @click.option(
     "--out",
     required=True,
-    type=click.Path(path_type=Path),
+    type=YAML,
     help="Path of the corrected RIG.yaml, a new file. Beside it: a copy with tight limits for the "
     "first lift, and a page.",
 )

@@ -10,12 +10,13 @@ from typing import Any
 import click
 
 from .entry import STOPPED
+from .path_types import FOLDER, RIG
 from .progress import say
 
 _RIG = click.option(
     "--rig",
     "rig_path",
-    type=click.Path(path_type=Path),
+    type=RIG,
     help="RIG.yaml that names the daemon's socket. Default: the default socket.",
 )
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -111,7 +112,7 @@ def watch(rig_path: Path | None, as_json: bool, every_s: float) -> int:
 @click.command("levitate")
 @_RIG
 @_JSON
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for a log. Default: no log.")
+@click.option("--out", type=FOLDER, help="Folder for a log. Default: no log.")
 @click.option(
     "--check-coils/--no-check-coils",
     default=None,

@@ -10,6 +10,7 @@ import click
 
 from .excite import fly_here
 from .identify import identify_logs, words
+from .path_types import FOLDER
 from .progress import progress, say
 from .trace import trace_logs
 from .trace import words as trace_words
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 @click.command("demo")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     help="Folder for logs and reports. Default: the next unused out/demo-N.",
 )
 def command(out: Path | None) -> int:

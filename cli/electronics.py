@@ -10,11 +10,12 @@ from pathlib import Path
 
 import click
 
+from .path_types import RIG
 from .progress import say
 
 
 @click.command("electronics")
-@click.argument("rig", type=click.Path(path_type=Path))
+@click.argument("rig", type=RIG)
 def command(rig: Path) -> int:
     """Emulate the electronics of RIG.yaml on its buses, in real time, with its simulated plant.
 

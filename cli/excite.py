@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .output_folder_check import logs_in, quoted
+from .path_types import FOLDER, RIG, SESSION, SIM
 from .progress import progress, say
 
 if TYPE_CHECKING:
@@ -21,17 +22,17 @@ _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
 
 
 @click.command("excite")
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("session", type=SESSION)
 @click.option(
     "--rig",
     "rig_path",
-    type=click.Path(path_type=Path),
+    type=RIG,
     help="RIG.yaml to fly. Default: the daemon's rig; with --virtual the shipped loopback rig.",
 )
 @click.option(
     "--sim",
     "sim_path",
-    type=click.Path(path_type=Path),
+    type=SIM,
     help="SIM.yaml to fly instead of the one that the rig names; needs --virtual.",
 )
 @click.option(
@@ -42,7 +43,7 @@ _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
 @click.option(
     "--out",
     required=True,
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     help="Folder that logs and reports are written into; it must not already contain logs.",
 )
 @click.option(

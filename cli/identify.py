@@ -14,6 +14,7 @@ import click
 
 from .model_file_errors import naming_the_file
 from .output_folder_check import claimed_folder, older_results
+from .path_types import FOLDER, LOG, MODEL, SIM
 from .progress import progress, say
 
 if TYPE_CHECKING:
@@ -32,15 +33,15 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 
 
 @click.command("identify")
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
     "--model",
-    type=click.Path(path_type=Path),
+    type=MODEL,
     help="MODEL.yaml to fit. Default: the model of the rig in the logs; imported data have none.",
 )
 @click.option(
     "--truth",
-    type=click.Path(path_type=Path),
+    type=SIM,
     help="SIM.yaml of the simulated flight: the report draws its true response for comparison; "
     "the identification does not use it.",
 )
@@ -59,7 +60,7 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
     show_default=True,
     help="Estimator of the impulse response; see docs/correlation.md.",
 )
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
+@click.option("--out", required=True, type=FOLDER, help="Folder of the report.")
 @click.option("--mat", is_flag=True, help="Also write OUT/identified.mat for MATLAB and Octave.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 def command(

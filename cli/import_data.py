@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .output_folder_check import quoted, same_logs
+from .path_types import ANY, DATA, SIGNALS
 from .progress import say
 
 if TYPE_CHECKING:
@@ -15,16 +16,14 @@ if TYPE_CHECKING:
 
 
 @click.command("import")
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=DATA)
 @click.option(
     "--signals",
     required=True,
-    type=click.Path(path_type=Path),
+    type=SIGNALS,
     help="SIGNALS.yaml: columns, units, roles and rate; `levid new signals FILE` writes a draft.",
 )
-@click.option(
-    "-o", "--out", required=True, type=click.Path(path_type=Path), help="Path of the new log."
-)
+@click.option("-o", "--out", required=True, type=ANY, help="Path of the new log.")
 def command(file: Path, signals: Path, out: Path) -> int:
     """Convert FILE (CSV, text, NPZ, MAT) to a log that `levid identify` reads.
 

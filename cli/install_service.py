@@ -7,14 +7,15 @@ from pathlib import Path
 
 import click
 
+from .path_types import FOLDER, RIG
 from .progress import say
 
 
 @click.command("install-service")
-@click.argument("rig", type=click.Path(path_type=Path))
+@click.argument("rig", type=RIG)
 @click.option(
     "--root",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     default=Path("/"),
     help="Write all files below this folder instead of /, for example into a mounted disk image.",
 )

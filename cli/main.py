@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import io
+import os
 import sys
 
 import click
 
 from .. import __version__
+from .command_group import LazyGroup
 
 # verb: module and attribute, summary for `levid --help` (shown without loading the module)
 _VERBS = {
@@ -40,29 +41,27 @@ _VERBS = {
     "import": ("import_data:command", "Convert measured data (CSV, text, NPZ, MAT) to a log."),
     "salvage": ("salvage:command", "Recover the rows of damaged logs."),
     "demo": ("demo:command", "Fly, log, identify and trace the simulated rig; write reports."),
+    "completion": ("completion:command", "Print the script for the Tab key in bash, zsh or fish."),
 }
+
+_SECTIONS = {
+    "Start": ("demo", "new", "check"),
+    "Run the rig": ("run", "electronics", "commission", "install-service"),
+    "Fly": ("excite", "levitate", "move", "land", "stop", "clear", "status", "watch"),
+    "Identify": ("identify", "trace"),
+    "Logs and data": ("import", "salvage"),
+    "Shell": ("completion",),
+}
+"""Sections of `levid --help`. A command of no section is listed under "Other commands"."""
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
+_COMPLETE = "_LEVID_COMPLETE"
+"""Environment variable with which the shell's completion script calls levid."""
 
 
-class _Verbs(click.Group):
-    """Import a subcommand's module only when it is called, so that `levid --help` is fast."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        return list(_VERBS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        if cmd_name not in _VERBS:
-            return None
-        name, _, attribute = _VERBS[cmd_name][0].partition(":")
-        module = importlib.import_module(f".{name}", __package__)
-        command: click.Command = getattr(module, attribute)
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        with formatter.section("Commands"):
-            formatter.write_dl([(verb, summary) for verb, (_, summary) in _VERBS.items()])
+class _Verbs(LazyGroup):
+    verbs, sections = _VERBS, _SECTIONS
 
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"]})
@@ -87,8 +86,12 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):  # a file name may be invalid in the stream's encoding
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    if _COMPLETE in os.environ:
+        from .completion import register
+
+        register()
     try:
-        code = levid(standalone_mode=False)
+        code = levid(prog_name="levid", complete_var=_COMPLETE, standalone_mode=False)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)

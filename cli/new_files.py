@@ -6,11 +6,13 @@ from pathlib import Path
 
 import click
 
+from .command_group import SuggestingGroup
 from .output_folder_check import quoted
+from .path_types import DATA, YAML
 from .progress import say
 
 
-@click.group("new")
+@click.group("new", cls=SuggestingGroup)
 def group() -> None:
     """Write a draft of a YAML file, to be completed by hand.
 
@@ -21,11 +23,11 @@ def group() -> None:
 
 
 @group.command("signals")
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=DATA)
 @click.option(
     "-o",
     "--out",
-    type=click.Path(path_type=Path),
+    type=YAML,
     help="Path of the new SIGNALS.yaml. Default: the name of FILE with .yaml, in this folder.",
 )
 def signals(file: Path, out: Path | None) -> int:

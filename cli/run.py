@@ -7,12 +7,14 @@ from pathlib import Path
 
 import click
 
+from .path_types import RIG
+
 EXIT_CONFIG = 78
 """Exit code for a wrong RIG.yaml (EX_CONFIG of sysexits.h); systemd then does not restart it."""
 
 
 @click.command("run")
-@click.argument("rig", type=click.Path(path_type=Path))
+@click.argument("rig", type=RIG)
 def command(rig: Path) -> int:
     """Run the daemon on RIG.yaml in real time.
 

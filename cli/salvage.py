@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .output_folder_check import quoted
+from .path_types import FOLDER, LOG
 from .progress import say
 
 if TYPE_CHECKING:
@@ -16,15 +17,15 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     help="Folder of the new logs. Default: that of each damaged log.",
 )
 @click.option(
     "--like",
-    type=click.Path(path_type=Path),
+    type=LOG,
     help="Undamaged log of the same session, for the description of logs that have lost theirs.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text.")

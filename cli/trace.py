@@ -13,6 +13,7 @@ import click
 
 from .model_file_errors import naming_the_file
 from .output_folder_check import claimed_folder, quoted, same_logs
+from .path_types import FOLDER, LOG, MODEL
 from .progress import progress, say
 from .value_with_interval import value_with_interval
 
@@ -24,13 +25,13 @@ if TYPE_CHECKING:
 
 
 @click.command("trace")
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
     "--model",
-    type=click.Path(path_type=Path),
+    type=MODEL,
     help="MODEL.yaml to start from. Default: the model of the rig in the logs.",
 )
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the report.")
+@click.option("--out", required=True, type=FOLDER, help="Folder of the report.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 @click.option(
     "--workers",

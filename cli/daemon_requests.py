@@ -142,8 +142,6 @@ def levitate(
       levid levitate
       levid levitate --check-coils --out out/by-hand
     """
-    from ..daemon.recording.log_metadata import coil_check_warning
-
     arguments: dict[str, Any] = {"out": str(out.resolve())} if out else {}
     arguments |= _if_gone(if_gone)
     if override:
@@ -151,8 +149,8 @@ def levitate(
     if check_coils is not None:
         arguments["levitate"] = {"check_coils": {} if check_coils else False}
     answer = _request("levitate", rig_path, **arguments)
-    if doubt := coil_check_warning(answer["unjudged_coils"]):
-        say(doubt)
+    if answer["coil_check"]:
+        say(answer["coil_check"])
     landed = "landed on request before the lift-off was complete"
     _print(answer, as_json, landed if answer["stopped"] else "levitating")
     return 1 if answer["stopped"] else 0

@@ -81,7 +81,6 @@ def command(
       levid excite config/sessions/beam.yaml --out /var/lib/levid/today
     """
     from ..config.session import load_session
-    from ..daemon.recording.log_metadata import coil_check_warning
 
     config = load_session(session)
     refuse_used_folder(out)
@@ -99,8 +98,8 @@ def command(
         f"flew {result.cycles} cycles, {len(result.records)} records{late}{lost}, "
         f"logs in {result.logs[0].parent if result.logs else out}"
     )
-    if doubt := coil_check_warning(result.unjudged_coils):
-        say(doubt)
+    if result.coil_check:
+        say(result.coil_check)
     return _after_landing(config, result, out)
 
 

@@ -46,9 +46,10 @@ class Client:
         except OSError as error:
             self._socket.close()
             if error.errno != errno.EACCES:
+                absent = error.errno in (errno.ENOENT, errno.ECONNREFUSED)
+                why = "" if absent else f" ({error.strerror or error})"
                 raise NoDaemonError(
-                    f"no daemon responds at {self._path} ({error.strerror or error}); start one "
-                    "with 'levid run RIG.yaml'"
+                    f"no daemon runs at {self._path}{why}: start one with `levid run RIG.yaml`"
                 ) from None
             raise DaemonError(
                 f"{self._path} ({error.strerror}): this user has no access to the daemon; join its "
@@ -145,4 +146,5 @@ class Client:
             int(answer["lost"]),
             bool(answer["stopped"]),
             tuple(answer["unjudged_coils"]),
+            str(answer["coil_check"]),
         )

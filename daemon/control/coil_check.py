@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations, islice
 from math import comb
 
@@ -30,6 +31,9 @@ _MAX_TRIPLES = 500
 84 triples."""
 _FORCE_UNCONFIRMED = Stale.AMPLIFIERS | Stale.SETPOINTS
 """Flags of a row in which the amplifiers did not confirm that they applied the previous command."""
+_IDLE = "let the daemon have the processors for itself"
+_AMPLIFIERS = "check cable and load of the bus to the amplifiers"
+_SENSORS = "check cable and load of the bus to the sensors"
 _COLLINEAR_CONDITION = 1e4
 """Condition number above which three coils lie in a line and cannot determine both tilts."""
 
@@ -73,10 +77,14 @@ class Pushes:
 
 @dataclass(frozen=True)
 class CoilCheckResult:
-    """Result of a coil check: an error text, empty if none, and the coils that were not checked."""
+    """Result of a coil check: an error text, empty if none, and the coils that were not checked.
+
+    `skipped` is a sentence about these coils: which, why, and what to do; empty if there are none.
+    """
 
     error: str = ""
     unjudged: tuple[int, ...] = ()
+    skipped: str = ""
 
 
 def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> CoilCheckResult:
@@ -93,7 +101,8 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Co
     """
     pushed = np.flatnonzero(rows["coil_excitation_n"].any(axis=1))
     if not len(pushed) or len(rows) - pushed[0] < pushes.coils * pushes.turn - pushes.pause:
-        return CoilCheckResult(unjudged=tuple(range(pushes.coils)))
+        late = "the rows of the check were overwritten before the daemon could evaluate them"
+        return _skipped(range(pushes.coils), pushes.coils, [(late, _IDLE)])
     rows = rows[pushed[0] :]
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     S_sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
@@ -122,15 +131,53 @@ def coil_check(rows: NDArray[np.void], pushes: Pushes, geometry: Geometry) -> Co
     every = max(-(-comb(len(coils), 3) // _MAX_TRIPLES), 1)
     chosen = islice(combinations(coils, 3), 0, None, every)
     triples = [np.array(t) for t in chosen if np.linalg.cond(S[list(t)]) < _COLLINEAR_CONDITION]
+    causes = _disturbances(rows[: pushes.coils * pushes.turn])
     if not triples:
-        return CoilCheckResult(unjudged=tuple(range(pushes.coils)))
+        return _skipped(range(pushes.coils), pushes.coils, causes)
     best = min(triples, key=lambda triple: float(np.median(deviation(triple)[coils])))
     deviations = deviation(np.flatnonzero(valid & (deviation(best) <= _MAX_DEVIATION)))
     errors = (
         f"coil {coil} moved the platform {100 * deviations[coil]:.0f} % off the expected motion"
         for coil in np.flatnonzero(valid & (deviations > _MAX_DEVIATION))
     )
-    return CoilCheckResult(", ".join(errors), tuple(np.flatnonzero(~valid).tolist()))
+    unjudged = np.flatnonzero(~valid).tolist()
+    return replace(_skipped(unjudged, pushes.coils, causes), error=", ".join(errors))
+
+
+def _skipped(
+    coils: Sequence[int], count: int, causes: Sequence[tuple[str, str]]
+) -> CoilCheckResult:
+    """Return a result without error that skips `coils`, of `count`, for these causes."""
+    if not coils:
+        return CoilCheckResult()
+    numbers = ", ".join(map(str, coils))
+    which = f"coil {numbers}" if len(coils) == 1 else f"coils {numbers}"
+    if len(coils) == count:
+        which = f"all {count} coils"
+    why = " and ".join(cause for cause, _ in causes) or "too few coils are left to compare"
+    how = " and ".join(dict.fromkeys(remedy for _, remedy in causes)) or _IDLE
+    return CoilCheckResult(
+        unjudged=tuple(coils),
+        skipped=f"coil check skipped for {which}: {why}. This is not a coil fault; {how}. The next "
+        "lift-off repeats the check",
+    )
+
+
+def _disturbances(rows: NDArray[np.void]) -> list[tuple[str, str]]:
+    """Return what disturbed the check in `rows`, each with a remedy, most frequent first."""
+    stale, late = rows["stale"], int((np.diff(rows["cycle"].astype(np.int64)) > 1).sum())
+    unconfirmed = int(((stale & _FORCE_UNCONFIRMED) != 0).sum())
+    unread = int(((stale & Stale.SENSORS) != 0).sum())
+    found = (
+        (late, "{} late", _IDLE),
+        (unconfirmed, "{} without an answer of the amplifiers", _AMPLIFIERS),
+        (unread, "{} without sensor readings", _SENSORS),
+    )
+    return [
+        (words.format(f"{n} cycle{'s' * (n != 1)} {'was' if n == 1 else 'were'}"), remedy)
+        for n, words, remedy in sorted(found, key=lambda each: -each[0])
+        if n
+    ]
 
 
 def _pose_motion(rows: NDArray[np.void], coil: int, pushes: Pushes) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import platform
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +23,8 @@ class FlightResult:
     """List the logs of a session in order, its records, and the counts of the loop.
 
     `late`: late cycles. `lost`: rows missing in the logs. `stopped`: a landing was requested before
-    the end. `unjudged_coils`: coils that the check after lift-off skipped.
+    the end. `unjudged_coils`: coils that the check after lift-off skipped; `coil_check`: a sentence
+    that says why, and what to do.
     """
 
     logs: tuple[Path, ...]
@@ -34,17 +34,7 @@ class FlightResult:
     lost: int
     stopped: bool = False
     unjudged_coils: tuple[int, ...] = ()
-
-
-def coil_check_warning(unjudged_coils: Iterable[int]) -> str:
-    """Return a warning about coils that the check after lift-off skipped; empty if none."""
-    coils = ", ".join(map(str, unjudged_coils))
-    if not coils:
-        return ""
-    return (
-        f"coil check skipped for coils {coils}: cycles were late or amplifier readings missing. "
-        "This is not a coil fault; the check is repeated at the next lift-off"
-    )
+    coil_check: str = ""
 
 
 def log_metadata(plan: Plan, step: PlannedStep) -> dict[str, str]:

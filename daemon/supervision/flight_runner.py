@@ -19,7 +19,7 @@ from ..ipc.shared_memory import SharedMemory
 from ..ipc.shared_status_words import ControlWords, Word
 from ..planning.plan import Plan, PlannedStep
 from ..planning.refused_request import RefusedError
-from ..recording.log_metadata import FlightResult, RecordingError, coil_check_warning
+from ..recording.log_metadata import FlightResult, RecordingError
 from ..recording.log_router import LogFile
 from ..recording.recorder_link import RecorderLink
 
@@ -277,7 +277,7 @@ class JobRunner:
             at_s = control_words[Word.CYCLE] / self._rig.rate_hz
             job.error = FlightFault(Fault.COIL_CHECK, at_s, self.step_of(job), verdict.error)
         elif verdict.unjudged:
-            self._log(coil_check_warning(verdict.unjudged))
+            self._log(verdict.skipped)
         else:
             self._coils_checked = self._last_repair
 
@@ -301,6 +301,7 @@ class JobRunner:
             lost=result.lost,
             stopped=result.stopped,
             unjudged_coils=list(result.unjudged_coils),
+            coil_check=result.coil_check,
         )
 
     def _result(self, job: Job) -> FlightResult:
@@ -318,6 +319,7 @@ class JobRunner:
             self._shared.lost - job.counts_before[1],
             control_words[Word.PLAN_CUT] >= job.number,
             job.verdict.unjudged,
+            job.verdict.skipped,
         )
 
 

@@ -146,8 +146,7 @@ class Requests:
                 if self._latest is not None and _is_answer(self._latest[0], request, index):
                     return self._latest
         raise LinkError(
-            f"{self._link.what}: no answer to {self._request.name}; check power, "
-            "wiring and bit rate"
+            f"{self._link.what}: no answer to {self._request.name}: {self._link.remedy}"
         )
 
     def _receive(self, _: int, data: bytes) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -23,14 +22,11 @@ from ...wire.int16_scaling import LARGEST
 from ..base import Context, FirstError, LinkError
 from ..bus_backend import AnswerTime, BusBackend
 from ..channel_scales import check_command_range
+from ..remedies import has_no_hardware, network_problem
 from .amplifiers_and_adc import CanAmplifiers, CanSensors
 from .bus_link import CanLink
 from .canopen_drives import CanDrives
 from .canopen_homing_and_enabling import node_of
-
-_BETWEEN_PROGRAMS = ("virtual", "udp_multicast", "levid_local")
-"""Interfaces on which nothing but programs can be."""
-_NETWORKS, _IS_UP = Path("/sys/class/net"), 0x1
 
 
 class CanBackend(BusBackend):
@@ -56,28 +52,12 @@ class CanBackend(BusBackend):
     @classmethod
     def emulated(cls, context: Context, role: str, options: dict[str, Any]) -> bool:  # noqa: ARG003
         """Return whether the bus has no hardware: between programs, or the kernel's own."""
-        bus = _bus_of(context.rig, role)
-        if bus.interface == "socketcan":
-            network = _NETWORKS / str(bus.channel)
-            return network.exists() and not (network / "device").exists()
-        return bus.interface in _BETWEEN_PROGRAMS
+        return has_no_hardware(_bus_of(context.rig, role))
 
     @classmethod
     def missing(cls, context: Context, role: str, options: dict[str, Any]) -> str:  # noqa: ARG003
-        """Return whether the kernel lacks the bus or it is down."""
-        bus = _bus_of(context.rig, role)
-        if bus.interface != "socketcan":
-            return ""
-        network = _NETWORKS / str(bus.channel)
-        if not network.exists():
-            return f"no network interface {bus.channel} (plug in the adapter, load its driver)"
-        flags = int((network / "flags").read_text(), 16)
-        if flags & _IS_UP:
-            return ""
-        return (
-            f"network interface {bus.channel} is down "
-            f"(ip link set {bus.channel} up type can bitrate {bus.bitrate})"
-        )
+        """Return why the bus's network interface cannot be used, and what to do."""
+        return network_problem(_bus_of(context.rig, role))
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the buses, compare limits with the devices, home and enable the drives."""

@@ -11,6 +11,7 @@ from ...wire.can.can_bus import Ages, FrameBus, open_bus
 from ...wire.can.kernel_frame import BusOffError
 from ..base import DriverError, LinkError
 from ..bus_lock import BusLock
+from ..remedies import BUS_OFF, can_problem, network_problem, no_can_answer
 
 _MOST_FRAMES = 1000
 """Most frames that `drain` handles, more than a cycle brings; the only bound without timestamps."""
@@ -45,7 +46,8 @@ class CanLink:
         try:
             self._bus = open_bus(self._config)
         except Exception as error:  # noqa: BLE001 - interfaces raise any exception
-            raise LinkError(f"{self.what}: cannot be opened: {_text(error)}") from None
+            why = network_problem(self._config) or can_problem(self._config, error)
+            raise LinkError(f"{self.what}: cannot be opened: {why}") from None
 
     def close(self) -> None:
         """Close the bus; safe to call twice."""
@@ -80,7 +82,7 @@ class CanLink:
         try:
             self._bus.send(can_id, data)
         except Exception as error:  # noqa: BLE001 - as above
-            self._fail(f"sending failed: {_text(error)}")
+            self._fail(f"sending failed: {can_problem(self._config, error)}")
 
     def receive(self, deadline_s: float) -> bool:
         """Dispatch the next frame, waiting until `deadline_s` (perf_counter); 0 does not wait.
@@ -93,9 +95,9 @@ class CanLink:
             wait_s = deadline_s - perf_counter() if deadline_s else 0.0
             frame = self._bus.receive(max(wait_s, 0.0))
         except BusOffError:
-            self._fail("the controller is bus-off")
+            self._fail(f"the controller is bus-off: {BUS_OFF}")
         except Exception as error:  # noqa: BLE001 - as above
-            self._fail(f"receiving failed: {_text(error)}")
+            self._fail(f"receiving failed: {can_problem(self._config, error)}")
         if frame is None:
             return False
         can_id, data, stamp_s = frame
@@ -117,12 +119,12 @@ class CanLink:
             if not self.receive(0.0) or (self._stamped and self.received_s > began_s):
                 return
 
+    @property
+    def remedy(self) -> str:
+        """What to do if no device answers a request."""
+        return no_can_answer(self._config)
+
     def _fail(self, why: str) -> NoReturn:
         # Close later: shutting down waits, and other buses still need zero force in this cycle.
         self._close_later()
         raise LinkError(f"{self.what}: lost: {why}") from None
-
-
-def _text(error: Exception) -> str:
-    """Return the text of an error, or its name: timeouts of python-can have no text."""
-    return str(error) or type(error).__name__

@@ -273,7 +273,7 @@ class DriveNode:
         except DriverError:
             raise
         except canopen.SdoCommunicationError as error:
-            raise LinkError(f"{self.what}: {_name(index)}: {error}") from None
+            raise LinkError(f"{self.what}: {_name(index)}: {error}: {self.link.remedy}") from None
         except Exception as error:  # noqa: BLE001 - the EDS or the drive lacks the object
             raise DriverError(f"{self.what}: {_name(index)}: {error}") from None
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +37,7 @@ from ..bus_backend import AnswerTime, BusBackend
 from ..channel_scales import check_command_range
 from ..force_quantiser import ForceQuantiser
 from ..reading_checks import SensorWatch, check_skew
+from ..remedies import is_pseudo_terminal, port_problem
 from .transaction import TransactionPort
 
 _MISSING_SETPOINTS = int(Stale.SETPOINTS)
@@ -65,20 +64,12 @@ class SerialBackend(BusBackend):
     @classmethod
     def emulated(cls, context: Context, role: str, options: dict[str, Any]) -> bool:  # noqa: ARG003
         """Return whether the port is a pseudo-terminal, at whose other end is a program."""
-        found = context.rig.on_bus(role)
-        port = Path(context.rig.serial[found[1].bus].port) if found else Path()
-        return port.exists() and port.resolve().is_relative_to("/dev/pts")
+        return is_pseudo_terminal(_port(context.rig, role))
 
     @classmethod
     def missing(cls, context: Context, role: str, options: dict[str, Any]) -> str:  # noqa: ARG003
-        """Return whether the port does not exist, or this user may not use it."""
-        found = context.rig.on_bus(role)
-        port = Path(context.rig.serial[found[1].bus].port) if found else None
-        if port is None or "://" in str(port) or os.access(port, os.R_OK | os.W_OK):
-            return ""
-        if not port.exists():
-            return f"no port {port} (plug in the adapter, or start `levid electronics`)"
-        return f"no access to {port} (add this user to its group)"
+        """Return why the port cannot be used, and what to do."""
+        return port_problem(_port(context.rig, role))
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the ports, compare limits with the devices, enable the drives."""
@@ -139,6 +130,13 @@ class SerialBackend(BusBackend):
         finally:
             for port in self._ports.values():
                 port.close()
+
+
+def _port(rig: RigConfig, role: str) -> str:
+    """Return the port of a role; raises ConfigError."""
+    found = rig.on_bus(role)
+    assert found is not None
+    return rig.serial[found[1].bus].port
 
 
 class _Amplifiers(CoilAmplifiers):

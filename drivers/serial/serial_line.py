@@ -12,6 +12,7 @@ from typing import Any
 from ...config.buses import SerialBus
 from ..base import LinkError
 from ..bus_lock import BusLock
+from ..remedies import serial_problem
 
 _CHUNK = 4096
 _WRITE_S = 0.1
@@ -51,7 +52,8 @@ class SerialLine:
                 self._bus.port, self._bus.baud, exclusive=True, **times
             )
         except Exception as error:  # noqa: BLE001 - as in write; an unknown protocol, say
-            raise LinkError(f"{self._what}: cannot be opened: {error}") from None
+            why = serial_problem(self._bus.port, self._bus.baud, error)
+            raise LinkError(f"{self._what}: cannot be opened: {why}") from None
         self._port = port
         # The latency timer of an FTDI adapter delays bytes by 16 ms by default.
         with contextlib.suppress(Exception):

@@ -14,6 +14,7 @@ from ...wire.serial.serial_frames import FrameContents, Header, Kind, SerialFram
 from ..amplifier_enabling import AmplifierWatch
 from ..base import LinkError
 from ..bus_backend import AnswerTime
+from ..remedies import no_serial_answer
 from ..stale_readings import Watch
 from .serial_line import SerialLine
 
@@ -47,6 +48,7 @@ class TransactionPort:
         self.watch = Watch(self.what, bus.stale_cycles)
         self.amplifiers: AmplifierWatch | None = None
         self.fresh = False
+        self._bus = bus
         self._line = line or SerialLine(name, bus)
         self._stream = FrameStream(self.frames.longest)
         self._reading = SerialFrames(contents)
@@ -125,7 +127,9 @@ class TransactionPort:
                     header = self._reading.accept(block)
                     if isinstance(header, Header) and header == Header(Kind.ANSWER, attempt):
                         return self._reading.answer_received()
-        raise LinkError(f"{self.what}: no answer; check power, wiring and baud rate")
+        raise LinkError(
+            f"{self.what}: no answer: {no_serial_answer(self._bus.port, self._bus.baud)}"
+        )
 
     def _setpoints(self) -> bytes:
         return self.frames.cycle(self._cycle, self.coil_n, self.beam, self.rotor)

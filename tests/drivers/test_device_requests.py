@@ -20,6 +20,7 @@ class Link:
     """A bus on which each request brings what a test has for it."""
 
     what = "can main"
+    remedy = "check power"
 
     def __init__(self, *answers: list[tuple[int, int]]) -> None:
         self._answers, self._coming = deque(answers), deque[tuple[int, int]]()

@@ -62,7 +62,7 @@ def test_stop_without_options_imports_next_to_nothing() -> None:
     )
     number, *modules = done.stdout.split()
     assert number == "1"
-    assert done.stderr.startswith("error: no daemon responds at")
+    assert done.stderr.startswith("error: no daemon runs at")
     assert not {"click", "numpy", "yaml", "pydantic", "importlib.metadata"} & set(modules)
 
 

@@ -1,5 +1,6 @@
 """Test the coil check after lift-off: sound coils pass on any plant; faulty coils are named."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,13 @@ from levid.config.base import ConfigError, parse_text
 from levid.config.rig import load_rig
 from levid.config.session import CoilCheck, SessionConfig
 from levid.config.shipped import shipped
+from levid.daemon.control.coil_check import Pushes, coil_check
 from levid.daemon.control.faults import Fault, FlightFault
 from levid.daemon.loop.virtual_session import fly_virtually
 from levid.daemon.planning.plan import plan_session
 from levid.log.reader import read_log
+from levid.log.signals import Stale
+from levid.model.geometry import shape_matrix
 
 RIG_FILE = shipped("rigs/loopback.yaml")
 
@@ -145,3 +149,79 @@ def test_push_that_a_coil_cannot_carry_is_refused(tmp_path: Path) -> None:
     config = parse_text(text, SessionConfig, "x")
     with pytest.raises(ConfigError, match=r"steps\[0\].levitate.check_coils.*saturate"):
         fly_virtually(weak, RIG_FILE, config, text.encode(), tmp_path / "out")
+
+
+CHECK_ROWS = np.dtype(
+    [("cycle", "<u8"), ("stale", "<u4"), ("coil_excitation_n", "<f4", (9,))]
+    + [(name, "<f8") for name in ("psi_rad", "theta_rad", "z_m")]
+)
+
+
+def undisturbed_rows(pushes: Pushes) -> np.ndarray:
+    """Rows of a check on a mass that moves as the geometry says."""
+    excitation = pushes.excitation()
+    rows = np.zeros(len(excitation) + 10, CHECK_ROWS)
+    rows["cycle"] = np.arange(len(rows))
+    rows["coil_excitation_n"][: len(excitation)] = excitation
+    geometry = load_rig(RIG_FILE).geometry
+    wrench = rows["coil_excitation_n"] @ shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    position = np.zeros_like(wrench)
+    position[2:] = np.cumsum(np.cumsum(wrench, axis=0), axis=0)[:-2]
+    for i, name in enumerate(("psi_rad", "theta_rad", "z_m")):
+        rows[name] = 1e-9 * position[:, i]
+    return rows
+
+
+def late_every(rows: np.ndarray, turn: int, push: int) -> None:
+    for coil in range(9):
+        rows["cycle"][coil * turn + 5 :] += 2 * push
+
+
+def silent_in_turn_4(rows: np.ndarray, turn: int, _: int) -> None:
+    rows["stale"][4 * turn : 4 * turn + 5] = int(Stale.AMPLIFIERS)
+
+
+def blind_in_turn_8(rows: np.ndarray, turn: int, _: int) -> None:
+    rows["stale"][8 * turn : 9 * turn] = int(Stale.SENSORS)
+
+
+@pytest.mark.parametrize(
+    ("disturb", "sentence"),
+    [
+        (lambda *_: None, ""),
+        (
+            late_every,
+            "coil check skipped for all 9 coils: 9 cycles were late. This is not a coil fault; let "
+            "the daemon have the processors for itself. The next lift-off repeats the check",
+        ),
+        (
+            silent_in_turn_4,
+            "coil check skipped for coils 4, 5: 5 cycles were without an answer of the amplifiers. "
+            "This is not a coil fault; check cable and load of the bus to the amplifiers. The next "
+            "lift-off repeats the check",
+        ),
+        (
+            blind_in_turn_8,
+            "coil check skipped for coil 8: 82 cycles were without sensor readings. This is not a "
+            "coil fault; check cable and load of the bus to the sensors. The next lift-off repeats "
+            "the check",
+        ),
+    ],
+)
+def test_what_could_not_be_checked_and_why_is_one_plain_sentence(
+    disturb: Callable[[np.ndarray, int, int], None], sentence: str
+) -> None:
+    pushes = Pushes.of(CoilCheck(), 9, 1000.0)
+    rows = undisturbed_rows(pushes)
+    disturb(rows, pushes.turn, pushes.push)
+    found = coil_check(rows, pushes, load_rig(RIG_FILE).geometry)
+    assert (found.error, found.skipped) == ("", sentence)
+    assert bool(found.unjudged) == bool(sentence)
+
+
+def test_check_whose_rows_were_overwritten_is_skipped() -> None:
+    pushes = Pushes.of(CoilCheck(), 9, 1000.0)
+    found = coil_check(undisturbed_rows(pushes)[:100], pushes, load_rig(RIG_FILE).geometry)
+    assert found.skipped.startswith(
+        "coil check skipped for all 9 coils: the rows of the check were overwritten"
+    )

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from .base import Finite, NonNegative, Positive, Strict
+from .error_messages import quoted
 
 Signal = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(_[a-z0-9]+)*$")]
 MOST_STATES = 64
@@ -43,9 +44,11 @@ class PidLoop(Strict):
     def _one_form(self) -> Self:
         parallel, times = self.ki or self.kd, self.ti_s or self.td_s
         if self.form == "parallel" and times:
-            raise ValueError("ti_s, td_s: expected ki and kd, or form: ideal or series")
+            raise ValueError(
+                "expected ki and kd with form parallel, found ti_s or td_s of form ideal or series"
+            )
         if self.form != "parallel" and parallel:
-            raise ValueError(f"ki, kd: expected ti_s and td_s in the {self.form} form")
+            raise ValueError(f"expected ti_s and td_s with form {self.form}, found ki or kd")
         return self
 
     @property
@@ -78,15 +81,22 @@ class PidLaw(Strict):
         for loop in self.loops[1:]:
             if loop.reference is not None:
                 raise ValueError(
-                    "loops: expected a reference in the first loop only: the reference of an inner "
-                    "loop is the output of the loop before it"
+                    "loops: expected a reference in the first loop only, found one in an inner "
+                    "loop, whose reference is the output of the loop before it"
                 )
         if self.limits is not None and not self.limits[0] < self.limits[1]:
-            raise ValueError(f"limits: expected [low, high], found {list(self.limits)}")
+            raise ValueError(
+                f"limits: expected [low, high] with low < high, found {quoted(self.limits)}"
+            )
         if self.tracking_s is not None and (self.limits is None or self.loops[-1].gains[1] == 0.0):
-            raise ValueError("tracking_s: expected limits and an integral in the last loop")
+            raise ValueError(
+                "tracking_s: expected limits, and an integral in the last loop, found none"
+            )
         if self.actuator_lag_s and self.limits is not None:
-            raise ValueError("actuator_lag_s: expected no limits: they are applied before the lag")
+            raise ValueError(
+                "actuator_lag_s: expected no limits with a lag, found limits, which act before "
+                "the lag"
+            )
         return self
 
 
@@ -136,7 +146,9 @@ class ControllerConfig(Strict):
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if bool(self.pid) == (self.state_space is not None):
-            raise ValueError("expected either pid or state_space")
+            raise ValueError(
+                f"expected either pid or state_space, found {'both' if self.pid else 'neither'}"
+            )
         return self
 
     @property

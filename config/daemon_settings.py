@@ -56,8 +56,8 @@ class Recording(Strict):
         for key in ("quota_gb", "keep_days"):
             if getattr(self, key) is not None and self.root is None:
                 raise ValueError(
-                    f"expected root, the folder of all logs, beside {key}: without it levid "
-                    "deletes no log"
+                    f"{key}: expected the key root beside it, the folder of all logs, found none: "
+                    "levid deletes logs in that folder only"
                 )
         return self
 

@@ -48,6 +48,8 @@ _FORMS = {
 """Text for each pattern in the schemas."""
 MOST_MISTAKES = 20
 """Most mistakes that are listed for one file; the last line counts the rest."""
+_WHOLE_FILE = "file"
+"""Location of a mistake that belongs to no key."""
 _MOST_QUOTED = 60
 """Longest quotation of a key or a value in characters."""
 _MOST_LINE = 500
@@ -65,12 +67,26 @@ def mistakes(error: ValidationError, data: object, model: type[BaseModel], where
     grouped = _by_location(wrong_kind or items, data)
     lines = []
     for loc, found in grouped[:MOST_MISTAKES]:
-        place = loc[:-1] if loc[-1:] == ("[key]",) else loc
-        line = shortened(f"{dotted(place)}: {_described(loc, found, model)}", _MOST_LINE)
+        place = dotted(loc[:-1] if loc[-1:] == ("[key]",) else loc)
+        if found[0]["type"] == "value_error":
+            problem = str(found[0]["ctx"]["error"])
+            place, problem = _with_key(place, problem, _keys_at(model, loc))
+        else:
+            problem = _described(loc, found, model)
+        line = shortened(f"{place}: {problem}", _MOST_LINE)
         lines.append(f"{where}: {line}")
     if more := len(grouped) - len(lines):
         lines.append(f"{where}: {more} more {'mistake' if more == 1 else 'mistakes'}, not listed")
     return lines
+
+
+def _with_key(place: str, problem: str, keys: Sequence[str]) -> tuple[str, str]:
+    """Move a key with which a problem begins to the place: rows, "of: expected" to rows.of."""
+    head, colon, rest = problem.partition(": ")
+    first = head.replace("[", ".").partition(".")[0]
+    if not colon or " " in head or first not in keys:
+        return place, problem
+    return head if place == _WHOLE_FILE else f"{place}.{head}", rest
 
 
 def _follows(item: ErrorDetails) -> bool:
@@ -86,8 +102,6 @@ def _described(loc: _Location, found: list[ErrorDetails], model: type[BaseModel]
             return f"unknown key{_suggest(str(loc[-1]), _keys_at(model, loc[:-1]))}"
         case "missing":
             return "required key is missing"
-        case "value_error":
-            return str(item["ctx"]["error"])
         case "too_long":
             most = item["ctx"]["max_length"]
             return f"expected at most {most} entries, found {len(item['input'])}"
@@ -122,7 +136,9 @@ def _by_location(
         if len({item["loc"][at : at + 1] for item in found if len(item["loc"]) > at}) < 2:
             grouped += [(item["loc"], [item]) for item in found]
         elif inner := [item for item in found if len(item["loc"]) > at + 1]:
-            grouped += [(loc + item["loc"][at + 1 :], [item]) for item in inner]
+            for item in inner:
+                item["loc"] = loc + item["loc"][at + 1 :]
+            grouped += _by_location(inner, data)  # a key of the mapping may accept several types
         else:
             grouped.append((loc, found))
     return grouped
@@ -152,11 +168,16 @@ def _depth(loc: _Location, data: Any, named: _Named) -> int:
 
 
 def _expected(item: ErrorDetails) -> str:
-    values = item.get("ctx", {})
-    if item["type"] == "string_pattern_mismatch":
-        values = {"form": _FORMS.get(values["pattern"], "text of another form")}
-    text = _EXPECTED.get(item["type"])
-    return item["msg"].removeprefix("Input should be ") if text is None else text.format(**values)
+    values: dict[str, Any] = dict(item.get("ctx", {}))
+    match item["type"]:
+        case "string_pattern_mismatch":
+            values = {"form": _FORMS.get(values["pattern"], "text of another form")}
+        case "literal_error":
+            values["expected"] = (
+                values["expected"].replace("False", "false").replace("True", "true")
+            )
+    text = _EXPECTED.get(item["type"], "another value")
+    return text.format(**values)
 
 
 def dotted(loc: Sequence[Any]) -> str:
@@ -167,7 +188,7 @@ def dotted(loc: Sequence[Any]) -> str:
             text += f"[{quoted(part)}]"
         else:
             text += f"{'.' if text else ''}{shortened(str(part), _MOST_QUOTED)}"
-    return text or "file"
+    return text or _WHOLE_FILE
 
 
 def shortened(text: str, most: int) -> str:
@@ -222,6 +243,8 @@ def _suggest(key: str, known: list[str]) -> str:
     close = difflib.get_close_matches(key[:_MOST_QUOTED], known, n=1)
     if close:
         return f"; expected '{close[0]}'"
+    if len(known) == 1:
+        return f"; expected '{known[0]}'"
     return f"; expected one of {', '.join(sorted(known))}"
 
 

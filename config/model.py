@@ -49,7 +49,10 @@ class ModelParameter(Strict):
         low = self.value if self.min is None else self.min
         high = self.value if self.max is None else self.max
         if not low <= self.value <= high:
-            raise ValueError(f"expected min <= value <= max, found {low}, {self.value}, {high}")
+            raise ValueError(
+                f"expected min <= value <= max, found min {low:g}, value {self.value:g} and max "
+                f"{high:g}"
+            )
         return self
 
     @property

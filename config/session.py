@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from .base import Finite, NonNegative, Positive, Strict, load_yaml
+from .error_messages import quoted
 from .rig import Rate
 
 MOST_STEPS = 1000
@@ -47,19 +48,26 @@ class Excitation(Strict):
         torque = self.input in ("psi", "theta")
         need, other = ("rms_n_m", "rms_n") if torque else ("rms_n", "rms_n_m")
         if getattr(self, need) is None or getattr(self, other) is not None:
+            given = [key for key in (need, other) if getattr(self, key) is not None]
             raise ValueError(
-                f"expected the key '{need}', not '{other}', for the level of input '{self.input}'"
+                f"expected the key '{need}' for the level of input '{self.input}', found "
+                f"{' and '.join(given) or 'none'}"
             )
         if self.band_hz is not None and self.band_hz[0] >= self.band_hz[1]:
-            raise ValueError(f"expected band_hz [low, high] with low < high, found {self.band_hz}")
+            raise ValueError(
+                f"band_hz: expected [low, high] with low < high, found {quoted(self.band_hz)}"
+            )
         if (self.signal == "multisine") != (self.period_s is not None):
-            raise ValueError("expected 'period_s' with signal multisine, and only there")
+            found = "none" if self.period_s is None else f"it with signal {self.signal}"
+            raise ValueError(f"period_s: expected with signal multisine only, found {found}")
         if self.signal == "multisine" and self.band_hz is None:
-            raise ValueError("expected 'band_hz' with signal multisine")
+            raise ValueError("band_hz: expected with signal multisine, found none")
         if self.signal != "multisine" and self.lines != "all":
-            raise ValueError("expected 'lines' only with signal multisine")
+            raise ValueError(f"lines: expected with signal multisine only, found {self.lines}")
         if self.signal != "multisine" and self.rise_hz is not None:
-            raise ValueError("expected 'rise_hz' only with signal multisine")
+            raise ValueError(
+                f"rise_hz: expected with signal multisine only, found {self.rise_hz:g}"
+            )
         return self
 
     @property
@@ -174,12 +182,12 @@ class RecordStep(Strict):
             raise ValueError("expected excitations in 'excite' with 'each_s', found none")
         if self.each_s is not None and self.fade_s > self.each_s:
             raise ValueError(
-                f"expected fade_s of at most each_s, found {self.fade_s} s and {self.each_s} s"
+                f"expected fade_s of at most each_s, found {self.fade_s:g} s and {self.each_s:g} s"
             )
         if self.duration_s is not None and self.duration_s <= 2 * self.fade_s:
             raise ValueError(
-                f"expected duration_s longer than twice fade_s, found {self.duration_s} s "
-                f"and {self.fade_s} s"
+                f"expected duration_s longer than twice fade_s, found {self.duration_s:g} s "
+                f"and {self.fade_s:g} s"
             )
         return self
 
@@ -239,13 +247,20 @@ class SessionConfig(Strict):
         names: set[str] = set()
         for number, step in enumerate(self.steps):
             if number and step.kind == "levitate":
-                raise ValueError(f"steps[{number}]: expected levitate as the first step only")
+                raise ValueError(
+                    f"steps[{number}]: expected levitate as the first step only, found it again"
+                )
             if step.kind == "land" and number != len(self.steps) - 1:
-                raise ValueError(f"steps[{number}]: expected land as the last step only")
+                raise ValueError(
+                    f"steps[{number}]: expected land as the last step only, found it before the end"
+                )
             if step.record is None:
                 continue
             if step.record.name in names:
-                raise ValueError(f"steps[{number}]: duplicate record name '{step.record.name}'")
+                raise ValueError(
+                    f"steps[{number}].record.name: expected a name that no other record has, found "
+                    f"'{step.record.name}' again"
+                )
             names.add(step.record.name)
             for excitation in step.record.excite:
                 if excitation not in self.excitations:
@@ -272,7 +287,7 @@ class SessionConfig(Strict):
                 if first != other:
                     raise ValueError(
                         f"{where}.orthogonal: expected the same {key} in all excitations, found "
-                        f"{first} in '{record.excite[0]}' and {other} in '{name}'"
+                        f"{quoted(first)} in '{record.excite[0]}' and {quoted(other)} in '{name}'"
                     )
         inputs = [excitation.input for excitation in played]
         if len(set(inputs)) < len(inputs):

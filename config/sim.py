@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from .base import Finite, NonNegative, Positive, Strict
+from .error_messages import quoted
 
 Vector3 = tuple[Finite, Finite, Finite]
 
@@ -40,8 +41,8 @@ class SimConfig(Strict):
     def _level_and_sizes_agree(self) -> Self:
         if self.plant == "declared" and self.nonlinear is not None:
             raise ValueError(
-                "nonlinear: expected no such section with plant: declared; remove it or set "
-                "plant: nonlinear"
+                "nonlinear: expected no such section with plant: declared, found one; remove it or "
+                "set plant: nonlinear"
             )
         if self.plant == "nonlinear":
             if self.nonlinear is None:
@@ -103,12 +104,12 @@ class SimGeometry(Strict):
         ):
             if len(x) != len(y):
                 raise ValueError(
-                    f"{what}_x_m and {what}_y_m: expected equal lengths, found {len(x)}, {len(y)}"
+                    f"expected as many {what}_x_m as {what}_y_m, found {len(x)} and {len(y)}"
                 )
             if not _spans_a_plane(x, y):
                 raise ValueError(
-                    f"{what}_x_m and {what}_y_m: expected three or more points that are not on "
-                    "one line, so that they determine psi, theta and z"
+                    f"expected three or more {what}s that are not on one line, so that they "
+                    f"determine psi, theta and z, found {len(x)} at {what}_x_m and {what}_y_m"
                 )
         return self
 
@@ -124,7 +125,10 @@ class Platform(Strict):
     @model_validator(mode="after")
     def _positive_definite(self) -> Self:
         if self.j_psitheta_kg_m2 * self.j_psitheta_kg_m2 >= self.j_psi_kg_m2 * self.j_theta_kg_m2:
-            raise ValueError("j_psitheta_kg_m2: expected its square below j_psi times j_theta")
+            raise ValueError(
+                f"j_psitheta_kg_m2: expected its square below j_psi times j_theta, found "
+                f"{self.j_psitheta_kg_m2:g}"
+            )
         return self
 
 
@@ -189,9 +193,13 @@ class EndStops(Strict):
     @model_validator(mode="after")
     def _both_or_neither(self) -> Self:
         if (self.x_m is None) != (self.y_m is None) or len(self.x_m or ()) != len(self.y_m or ()):
-            raise ValueError("x_m and y_m: expected both or neither, of equal lengths")
+            found = [0 if v is None else len(v) for v in (self.x_m, self.y_m)]
+            raise ValueError(f"expected as many x_m as y_m, found {found[0]} and {found[1]}")
         if not (self.x_m is None or self.y_m is None or _spans_a_plane(self.x_m, self.y_m)):
-            raise ValueError("x_m and y_m: expected three or more points that are not on one line")
+            raise ValueError(
+                "expected three or more stops that are not on one line, found "
+                f"{len(self.x_m)} at x_m and y_m"
+            )
         return self
 
 
@@ -247,7 +255,7 @@ class SimEffect(Strict):
         if not place or not name.isidentifier():
             raise ValueError(
                 "expected 'path/to/file.py:ClassName' or 'package.module:ClassName', "
-                f"found {value!r}"
+                f"found {quoted(value)}"
             )
         return value
 

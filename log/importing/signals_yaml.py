@@ -50,10 +50,10 @@ class Column(Strict):
     @model_validator(mode="after")
     def _keys_of_the_role(self) -> Self:
         if self.of is not None and self.role != "excitation":
-            raise ValueError(f"of: expected only with role excitation, found role {self.role}")
+            raise ValueError(f"of: expected with role excitation only, found role {self.role}")
         for key in ("noise_sd", "resolution"):
             if getattr(self, key) is not None and self.role != "output":
-                raise ValueError(f"{key}: expected only with role output, found role {self.role}")
+                raise ValueError(f"{key}: expected with role output only, found role {self.role}")
         return self
 
     @property
@@ -121,7 +121,9 @@ class SignalsFile(Strict):
         for column in self.with_role("excitation"):
             inputs = by_role["input"]
             if column.of is None and len(inputs) > 1:
-                raise ValueError(f"{column.name}: of: expected one of {', '.join(inputs)}")
+                raise ValueError(
+                    f"{column.name}: of: expected one of the inputs {', '.join(inputs)}, found none"
+                )
             if column.of is not None and column.of not in inputs:
                 raise ValueError(
                     f"{column.name}: of: expected one of the inputs {', '.join(inputs)}, found "
@@ -139,8 +141,8 @@ class SignalsFile(Strict):
                 if name not in by_role[role]:
                     known = ", ".join(by_role[role]) or "none"
                     raise ValueError(
-                        f"loop: controller: '{name}': expected a column of role {role} "
-                        f"(there is {known})"
+                        f"loop.controller: expected a column of role {role} ({known}), found "
+                        f"'{name}'"
                     )
         return self
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..host.peer_credentials import Access, Role, forbidden, peer_of
+from ..host.rate_limited_log import RateLimitedLog
 from ..ipc.json_lines import Closed, Lines, TooLong
 from .unix_listener import WAITING_CLIENTS, ServerError, UnixListener
 
@@ -99,7 +100,8 @@ class Server:
         on_long: Callable[[bytes, Reply], None] | None = None,
         poll_s: float = 1.0,
     ) -> None:
-        self._path, self._handlers, self.access, self._log = path, dict(handlers), access, log
+        self._path, self._handlers, self.access = path, dict(handlers), access
+        self._rarely = RateLimitedLog(log)
         self._on_long, self._poll_s = on_long, poll_s
         self._listener = UnixListener(path)
         self._socket: socket.socket | None = None
@@ -200,7 +202,9 @@ class Server:
         except ServerError as error:
             if not self._reported_missing:
                 self._reported_missing = True
-                self._log(f"the control socket was removed and cannot be restored: {error}")
+                self._rarely.line(
+                    "lost", now_s, f"the control socket was removed and cannot be restored: {error}"
+                )
             return
         self._accept_all()  # clients that connected to the old socket
         if self._socket is not None:
@@ -208,7 +212,9 @@ class Server:
             self._socket.close()
         self._socket = opened
         self._selector.register(opened, selectors.EVENT_READ)
-        self._log(f"the control socket was removed: {self._path} is open again")
+        self._rarely.line(
+            "removed", now_s, f"the control socket was removed: {self._path} is open again"
+        )
 
     def _accept_all(self) -> None:
         assert self._socket is not None

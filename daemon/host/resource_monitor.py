@@ -11,10 +11,10 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from .rate_limited_log import RateLimitedLog
+
 _POLL_S = 2.0
 """Polling interval: the kernel updates its figures that often."""
-_REPEAT_S = 60.0
-"""Shortest time between two journal lines about the same resource."""
 _FLOOD_HZ = 500.0
 """Requests and connections per second: many times the rate of watching clients, and a tenth of the
 rate that the socket can answer."""
@@ -37,7 +37,7 @@ class ResourceMonitor:
         self._polled_s: float | None = None
         self._requests, self._waited_s, self._lost = 0, 0.0, 0
         self._steal_s: float | None = None
-        self._logged_s: dict[str, float] = {}
+        self._rarely = RateLimitedLog(log)
         self.flooded_s = 0.0
         """Time with too many requests, since the start."""
         self.memory_stalled_s = 0.0
@@ -63,12 +63,12 @@ class ResourceMonitor:
         self._polled_s, self._requests, self._waited_s = now_s, requests, waited_s
         if rate > _FLOOD_HZ:
             self.flooded_s += passed_s
-            self._log_rarely(
+            self._rarely.line(
                 "flood", now_s, f"the control socket is flooded: {rate:.0f} requests/s"
             )
         if stalled_s > _LOW_MEMORY * passed_s:
             self.memory_stalled_s += stalled_s
-            self._log_rarely(
+            self._rarely.line(
                 "memory",
                 now_s,
                 f"memory is low: processes waited for it for {stalled_s:.1f} of {passed_s:.1f} s",
@@ -76,15 +76,17 @@ class ResourceMonitor:
         stolen_s = self._stolen()
         if stolen_s > _STOLEN * passed_s:
             self.stolen_s += stolen_s
-            self._log_rarely(
+            self._rarely.line(
                 "stolen",
                 now_s,
                 "the host of this virtual machine withheld its processors for "
                 f"{stolen_s:.2f} of {passed_s:.1f} s: cycles in that time are late",
             )
         # Rows lost while logging is suppressed count in the next line.
-        if lost > self._lost and self._log_rarely("lost", now_s, self._lost_rows(lost)):
+        if lost > self._lost and self._rarely.due("lost", now_s):
+            self._log(self._lost_rows(lost))
             self._lost = lost
+        self._rarely.flush(now_s)
 
     def end(self, lost: int) -> None:
         """Log lost rows that are not in the journal yet, at the end of the daemon."""
@@ -97,14 +99,6 @@ class ResourceMonitor:
             f"lost {lost - self._lost} rows that the recorder did not read in time or could not "
             f"write, {lost} since the start"
         )
-
-    def _log_rarely(self, resource: str, now_s: float, message: str) -> bool:
-        """Log the message, at most once a minute per resource; return whether it was logged."""
-        if now_s - self._logged_s.get(resource, -_REPEAT_S) < _REPEAT_S:
-            return False
-        self._logged_s[resource] = now_s
-        self._log(message)
-        return True
 
     def _update_pressure_file(self) -> None:
         """Follow the process to another control group; waiting time there counts from now."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import signal
 import socket
@@ -12,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..host.child_process import Child, module_of
+from ..host.rate_limited_log import RateLimitedLog
 from .plan_memory_file import PlanFileError, PlannedRequest, memory_file, read_plan, read_refusal
 from .planner_process import CPU_S, ENDED, PLANNED, QUESTION, REFUSED, Ended, Question, Work
 from .refused_request import RefusedError, Situation
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 60.0
-_REPEAT_S = 60.0
 _CANCEL_S = 10.0
 """Time limit of the planner to cancel a task before it is restarted."""
 
@@ -43,13 +42,12 @@ class PlannerLink:
             rig_json,
             {"OPENBLAS_NUM_THREADS": "1"},
         )
-        self._coils, self._log = coils, log
+        self._coils, self._rarely = coils, RateLimitedLog(log)
         self._end: socket.socket | None = None
         self._jobs = 0
         self._task: _Task | None = None
         self._cancelled: tuple[int, float] | None = None  # job and time of a cancelled task
         self._pause_s, self._restart_s = _FIRST_PAUSE_S, 0.0
-        self._logged_s = -math.inf
         self._started = False
 
     @property
@@ -71,7 +69,9 @@ class PlannerLink:
             return
         self._cancelled = None
         if self._started:
-            self._log_rarely(now_s, f"restarting the planner: it ended ({self._child.end})")
+            self._rarely.line(
+                "planner", now_s, f"restarting the planner: it ended ({self._child.end})"
+            )
         self._restart_s = now_s + self._pause_s
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
         self._started = True
@@ -84,7 +84,7 @@ class PlannerLink:
             with theirs:
                 self._child.start((theirs.fileno(), os.getpid()), (theirs.fileno(),))
         except OSError as error:
-            self._log_rarely(now_s, f"cannot start the planner: {error}")
+            self._rarely.line("planner", now_s, f"cannot start the planner: {error}")
 
     def start(self, work: Work, data: bytes, situation: Situation) -> None:
         """Start a task in the planner; raises RefusedError if it cannot take one."""
@@ -190,8 +190,3 @@ class PlannerLink:
             ended = Ended(*ENDED.unpack(data))
             if ended.job == job:
                 return ended
-
-    def _log_rarely(self, now_s: float, line: str) -> None:
-        if now_s - self._logged_s >= _REPEAT_S:
-            self._logged_s = now_s
-            self._log(line)

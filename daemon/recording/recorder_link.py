@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 import os
 import socket
 import time
@@ -16,6 +15,7 @@ from typing import Any
 from ..control.faults import Fault
 from ..host.child_process import Child, ChildSilence, module_of
 from ..host.clock_excluding_suspension import ProcessClock
+from ..host.rate_limited_log import RateLimitedLog
 from ..ipc.json_lines import Closed, Lines, TooLong
 from ..ipc.row_ring import HUNG_S
 from ..ipc.shared_status_words import ControlWords, Word
@@ -26,7 +26,6 @@ _MAX_BYTES = 16 << 20
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 60.0
 """Pause between two starts; a recorder that ran for `_STABLE_S` is restarted at once."""
 _STABLE_S = 10.0
-_REPEAT_S = 60.0
 _STARTING_S = 60.0
 """Time limit for the start of a recorder, without the time it waited for a processor. On an idle
 machine it needs less than 1 s."""
@@ -62,7 +61,7 @@ class RecorderLink:
         self._unrecorded = ""  # fault whose flight recording was requested and is not confirmed
         self.restarts = -1
         self._pause_s, self._restart_s, self._started_s = _FIRST_PAUSE_S, 0.0, 0.0
-        self._logged: dict[str, tuple[float, int]] = {}  # by topic: time, suppressed lines since
+        self._rarely = RateLimitedLog(log)
         self._process_clock, self._beat = ProcessClock(), 0
         self._silence, self._running = ChildSilence(self._child), False
         self._hung = False  # killed, but the process has not ended yet
@@ -142,7 +141,7 @@ class RecorderLink:
         limit_s = HUNG_S if self._running else _STARTING_S
         if self._silence.passed_s(now_s) > limit_s:
             state = "hung" if self._running else "did not start"
-            self._log_rarely(now_s, "hung", f"killed the recorder: it {state} for {limit_s:g} s")
+            self._rarely.line("hung", now_s, f"killed the recorder: it {state} for {limit_s:g} s")
             self._child.kill(0.0)  # do not wait: its disk may hang
             self._silence.begin(now_s)
             self._hung = True
@@ -177,10 +176,10 @@ class RecorderLink:
                     (self._shared_fd, theirs.fileno()),
                 )
         except OSError as error:
-            self._log_rarely(now_s, "ended", f"cannot start the recorder: {error}")
+            self._rarely.line("ended", now_s, f"cannot start the recorder: {error}")
             return
         if self.restarts:
-            self._log_rarely(now_s, "ended", restarted)
+            self._rarely.line("ended", now_s, restarted)
         self._silence.begin(now_s)
         self._beat = self._control_words[Word.RECORDER_BEAT]  # of the previous recorder
         self._running = self._hung = False
@@ -194,15 +193,6 @@ class RecorderLink:
         self._ready_answered = 0
         if self._ready_requested:
             self._send({"ready": self._ready_requested})
-
-    def _log_rarely(self, now_s: float, topic: str, line: str) -> None:
-        """Log a line once a minute at most, with the number of suppressed lines."""
-        logged_s, suppressed = self._logged.get(topic, (-math.inf, 0))
-        if now_s - logged_s < _REPEAT_S:
-            self._logged[topic] = logged_s, suppressed + 1
-            return
-        self._logged[topic] = now_s, 0
-        self._log(f"{line} (and {suppressed} similar events before)" if suppressed else line)
 
     def _define(self, tag: int, file: LogFile, again: bool) -> None:
         # All logs of a session have the same attachments: send them once.

@@ -22,6 +22,7 @@ from ..control.states import IN_FLIGHT, State
 from ..control.watchdog_times import expiry_warning
 from ..host.child_process import Child, module_of
 from ..host.peer_credentials import Access
+from ..host.rate_limited_log import RateLimitedLog
 from ..host.resource_monitor import ResourceMonitor
 from ..host.wall_clock_jumps import ClockWatch
 from ..ipc.shared_memory import SharedMemory
@@ -71,7 +72,7 @@ class Supervisor:
         check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
         feed_forward(rig, 1.0 / rig.rate_hz)
         self.preflight = Preflight(self, rig, folder)
-        self._log = log
+        self._log, self._rarely = log, RateLimitedLog(log)
         self._shared = SharedMemory(rig)
         self.control_words = self._shared.control_words
         rig_json = rig.model_dump_json().encode()
@@ -303,7 +304,8 @@ class Supervisor:
         self._pending_clears.answer()
         self._log_fault()
         if step_s := self._clock.poll():
-            self._log(f"the system clock was set by {step_s:+.1f} s; log times are not affected")
+            clock = f"the system clock was set by {step_s:+.1f} s; log times are not affected"
+            self._rarely.line("clock", time.monotonic(), clock)
         self._resources.poll(time.monotonic(), self._server.requests, self._shared.lost)
         control_words = self.control_words
         resting = control_words.state not in IN_FLIGHT

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .path_types import FOLDER, RIG, YAML_OR_LOG
+from .progress import counted_progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -242,7 +243,8 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
             f"{path}: steps: expected a total of at most {MOST_CYCLES / rate_hz:g} s at "
             f"{rate_hz:g} Hz, found {least / rate_hz:g} s; fly several sessions"
         )
-    plan = plan_session(config, rig, source=str(path))
+    with counted_progress(f"checking {path.name}", least) as report:
+        plan = plan_session(config, rig, source=str(path), report=report)
     records = sum(step.kind == "record" for step in plan.steps)
     return (
         f"session, {len(plan.steps)} steps, {records} record{'s' * (records != 1)}, "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .progress import say
+from .progress import counted_progress, say
 
 if TYPE_CHECKING:
     from ..config.rig import RigConfig
@@ -75,7 +75,8 @@ def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
         Finding.of(
             Check.REAL_TIME,
             not refused,
-            "; ".join(refused) or "this user has the rights that RIG.yaml asks for",
+            "; ".join(line.rpartition("; ")[0] for line in refused)  # each ends in its own remedy
+            or "this user has the rights that RIG.yaml asks for",
             "run levid as the service, or allow it (rtprio and memlock in "
             "/etc/security/limits.conf)",
         ),
@@ -89,12 +90,16 @@ def session_findings(
 ) -> list[Finding]:
     """Return the predicted motion of a session, and the room that its logs need."""
     from ..daemon.planning.plan import plan_session
+    from ..daemon.planning.planner import least_cycles
     from ..daemon.planning.predicted_motion import motion_finding
     from ..daemon.recording.log_size import most_log_bytes
 
-    plan = plan_session(session, rig, source=str(path))
-    disk = _disk(rig, rig_path, out, most_log_bytes(rig, plan.cycles))
-    return [motion_finding(rig, plan), disk]
+    # The session is computed twice: its peak, then its motion.
+    least = 2 * least_cycles(session, session.rate_hz or rig.rate_hz)
+    with counted_progress(f"checking {path.name}", least) as report:
+        plan = plan_session(session, rig, source=str(path), report=report)
+        motion = motion_finding(rig, plan, report)
+    return [motion, _disk(rig, rig_path, out, most_log_bytes(rig, plan.cycles))]
 
 
 def _disk(rig: RigConfig, rig_path: Path, out: Path, needed_bytes: int) -> Finding:

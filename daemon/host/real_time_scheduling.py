@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import gc
 import os
 import signal
@@ -20,6 +21,14 @@ _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _DMA_LATENCY = Path("/dev/cpu_dma_latency")
 _OF_HOSTS = ("hypervisor", "fw-cfg@*")
+_REFUSED = {
+    errno.EPERM: "not permitted",
+    errno.EACCES: "not permitted",
+    errno.ENOMEM: "more than this user may lock",
+    errno.EINVAL: "no such processor",
+}
+_LIMITS = {"priority": "* - rtprio 95", "lock_memory": "* - memlock unlimited"}
+"""Lines of /etc/security/limits.conf that permit a setting to every user."""
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
@@ -69,8 +78,25 @@ def apply_realtime(settings: Realtime) -> list[str]:
         try:
             apply()
         except OSError as error:
-            warnings.append(f"{name}: {error.strerror}: {consequence}")
+            why = _REFUSED.get(error.errno or 0, str(error.strerror))
+            warnings.append(f"{name}: {why}: {consequence}; {_remedy(name)}")
     return warnings
+
+
+def _remedy(name: str) -> str:
+    """Return how this user may apply a setting of RIG.yaml, named as in the warnings."""
+    key = name.removeprefix("realtime.").partition(" ")[0]
+    if key == "cpus":
+        return f"choose from the processors {_ranges(os.sched_getaffinity(0))}"
+    limit = _LIMITS.get(key)
+    allow = f"add '{limit}' to /etc/security/limits.conf and log in again, or " if limit else ""
+    return f"{allow}run levid as the service (levid install-service)"
+
+
+def _ranges(cpus: Collection[int]) -> str:
+    ordered = sorted(cpus)
+    whole = ordered == list(range(ordered[0], ordered[-1] + 1)) and len(ordered) > 1
+    return f"{ordered[0]} to {ordered[-1]}" if whole else ", ".join(map(str, ordered))
 
 
 def avoid_cpus(cpus: Collection[int]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from .orthogonal_multisine import orthogonal_cycles
 from .record_excitation import RecordExcitation, cycles_of
 
 Array = NDArray[np.float64]
+Progress = Callable[[str, int], None]
 
 _IDLE_S = 0.3
 _JUDGED_S = 2.0
@@ -70,17 +72,19 @@ def plan_session(
     rotor_rad: float = 0.0,
     source: str | None = None,
     check: CoilCheck | None = None,
+    report: Progress = lambda _, __: None,
 ) -> Plan:
     """Plan `session` on `rig`, with the manipulator initially at rest at `beam_m`, `rotor_rad`.
 
     `source` names the session in errors, usually its file. `check` is the coil check of a lift-off
-    that does not set `check_coils`.
+    that does not set `check_coils`. `report` gets the name of a record and the number of its cycles
+    that were checked since the last call; a record of hours takes seconds.
 
     Raises:
         ConfigError: a position or speed exceeds the rig's limits, a coil does not exist, or a level
             would saturate the coils; the message names session, step and key.
     """
-    return _Planner(session, rig, beam_m, rotor_rad, source, check).plan()
+    return _Planner(session, rig, beam_m, rotor_rad, source, check, report).plan()
 
 
 def plan_steps(
@@ -113,8 +117,9 @@ class _Planner:
         rotor_rad: float,
         source: str | None,
         check: CoilCheck | None,
+        report: Progress = lambda _, __: None,
     ) -> None:
-        self.session, self.rig, self.check = session, rig, check
+        self.session, self.rig, self.check, self.report = session, rig, check, report
         self.source = source or f"session {session.name}"
         self.rate_hz = session.rate_hz or rig.rate_hz
         self.feed_forward = feed_forward(rig, 1.0 / self.rate_hz)
@@ -240,7 +245,7 @@ class _Planner:
                 ),
             ]
 
-        peak_n = excitation.peak_n(self.T_coils)
+        peak_n = excitation.peak_n(self.T_coils, partial(self.report, step.name))
         self.check_levels(peak_n, beam_before if beam is None else beam.moves(), where)
         return settle + n, segments
 

@@ -19,7 +19,7 @@ from ...model.geometry import shape_matrix
 from ...model.second_order import StateSpace
 from ..control.loop_stability import declared_plant
 from ..control.preflight_findings import Check, Finding, Outcome
-from .plan import Plan
+from .plan import Plan, Progress
 
 Array = NDArray[np.float64]
 
@@ -34,8 +34,12 @@ class PredictedMotion:
     tilt_step: str
 
 
-def predicted_motion(rig: RigConfig, plan: Plan) -> PredictedMotion | None:
+def predicted_motion(
+    rig: RigConfig, plan: Plan, report: Progress = lambda _, __: None
+) -> PredictedMotion | None:
     """Return the largest motion in the records of a plan; None for a rig without a model.
+
+    `report` is that of plan_session.
 
     Raises:
         ConfigError: the model does not fit a rig.
@@ -58,12 +62,16 @@ def predicted_motion(rig: RigConfig, plan: Plan) -> PredictedMotion | None:
             pose = simulation.respond(block.wrench(coils))
             gap = max(gap, (float(np.abs(pose @ sensors.T).max()), step.name))
             tilt = max(tilt, (float(np.abs(pose[:, :2]).max()), step.name))
+            report(step.name, block.rows)
     return PredictedMotion(*gap, *tilt)
 
 
-def motion_finding(rig: RigConfig, plan: Plan) -> Finding:
-    """Return whether the predicted motion of a plan stays within the limits of the rig."""
-    found = predicted_motion(rig, plan)
+def motion_finding(rig: RigConfig, plan: Plan, report: Progress = lambda _, __: None) -> Finding:
+    """Return whether the predicted motion of a plan stays within the limits of the rig.
+
+    `report` is that of plan_session.
+    """
+    found = predicted_motion(rig, plan, report)
     if found is None:
         return Finding(Check.MOTION, Outcome.UNKNOWN, "the rig has no model")
     if not found.gap_step:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -94,8 +94,11 @@ class RecordExcitation:
                 coils[during, coil] = samples
         return v, coils
 
-    def peak_n(self, T_coils: Array) -> float:
-        """Return an upper bound of the force of a coil in N; T_coils (3, C) shares out a wrench."""
+    def peak_n(self, T_coils: Array, passed: Callable[[int], None] = lambda _: None) -> float:
+        """Return an upper bound of the force of a coil in N; T_coils (3, C) shares out a wrench.
+
+        `passed` is called with the number of cycles in each block that is done.
+        """
         axes = coils = 0.0
         with np.errstate(over="ignore", invalid="ignore"):  # a peak of inf or nan says it
             for block in self.blocks():
@@ -107,6 +110,7 @@ class RecordExcitation:
                 elif block.axes:
                     v = np.stack(list(block.axes.values()), axis=1)
                     axes = _larger(axes, v @ T_coils[list(block.axes)])
+                passed(block.rows)
         return axes + coils
 
     def _samples(self, one: _Signal, first: int, end: int) -> Array:

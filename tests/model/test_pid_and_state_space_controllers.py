@@ -133,14 +133,17 @@ def test_response_is_that_of_the_pi_law() -> None:
     ("text", "words"),
     [
         ("{}", "expected either pid or state_space"),
-        ("pid: {u: {loops: [{measured: y, kp: 1, ti_s: 2}]}}", "expected ki and kd, or form"),
+        (
+            "pid: {u: {loops: [{measured: y, kp: 1, ti_s: 2}]}}",
+            "ki and kd with form parallel",
+        ),
         ("pid: {u: {loops: [{measured: y, kp: 1, form: ideal, ki: 2}]}}", "expected ti_s and td_s"),
         (
             "pid: {u: {loops: [{measured: y, kp: 1}, {measured: y, kp: 1, reference: r}]}}",
             "reference in the first loop only",
         ),
         ("pid: {u: {loops: [{measured: y, kp: 1}], limits: [1, 0]}}", "[low, high]"),
-        ("pid: {u: {loops: [{measured: y, kp: 1}], tracking_s: 1}}", "limits and an integral"),
+        ("pid: {u: {loops: [{measured: y, kp: 1}], tracking_s: 1}}", "limits, and an integral"),
         ("state_space: {drives: [u], w: [y], D: [[1, 2]]}", "D: expected 1 rows of 1 numbers"),
     ],
 )

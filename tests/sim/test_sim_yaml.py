@@ -32,7 +32,7 @@ def test_shipped_files_have_equal_declared_parameters() -> None:
         ("noise_hold_s: 1e-4", "noise_hold_s: 1e-9", "coils.noise_hold_s: expected a number of at"),
         ("plant: declared", "plant: nonlinear", "nonlinear: required section is missing"),
         ("plant: declared", "plant: linear", "expected 'declared' or 'nonlinear', found 'linear'"),
-        ("0, -0.12]\n\nplat", "0]\n\nplat", "expected equal lengths, found 9, 8"),
+        ("0, -0.12]\n\nplat", "0]\n\nplat", "expected as many coil_x_m as coil_y_m, found 9 and 8"),
         ("effects: []", "effects: [{use: spring}]", "expected 'path/to/file.py:ClassName'"),
         ("effects: []", "effects: [{k: 1}]", r"effects\[0\].use: required key is missing"),
         ("j_psitheta_kg_m2: 0.0015", "j_psitheta_kg_m2: 1", "expected its square below"),

@@ -152,7 +152,7 @@ def test_a_record_fades_within_its_first_period_and_after_its_last() -> None:
         ({"excite": ["psi", "noise"]}, {}, "multisines only, found 'noise' with signal white_n"),
         ({}, {"z": {"period_s": 4}}, "the same period_s .* 2.0 in 'psi' and 4.0 in 'z'"),
         ({}, {"z": {"band_hz": [1, 50]}}, "the same band_hz in all"),
-        ({}, {"z": {"lines": "odd"}}, "the same lines in all .* all in 'psi' and odd in 'z'"),
+        ({}, {"z": {"lines": "odd"}}, "the same lines in all .* 'all' in 'psi' and 'odd' in 'z'"),
         ({"excite": ["psi", "psi"]}, {}, "a different input for each excitation"),
         ({"fade_s": 3.0}, {}, "fade_s: expected at most one period, 2 s, found 3 s"),
         ({"beam": [{"to_m": 0.1}]}, {}, "expected no trajectory"),
@@ -161,7 +161,7 @@ def test_a_record_fades_within_its_first_period_and_after_its_last() -> None:
             {},
             "periods: expected a number of at least 3",
         ),
-        ({}, {"noise": {"rise_hz": 10}}, "expected 'rise_hz' only with signal multisine"),
+        ({}, {"noise": {"rise_hz": 10}}, "rise_hz: expected with signal multisine only, found 10"),
     ],
 )
 def test_what_cannot_be_played_is_refused(

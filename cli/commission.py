@@ -37,23 +37,27 @@ _COILS_A_WEIGHT = 14.0
 )
 @click.option(
     "--stroke-mm",
+    metavar="MM",
     type=click.FloatRange(0.1, 20.0),
     default=1.8,
     help="Way of the platform between its lower and upper stops. Default: 1.8.",
 )
 @click.option(
     "--stops-mm",
+    metavar="X Y",
     type=click.FloatRange(1.0, 1000.0),
     nargs=2,
     help="Half the distance of the stops along x and along y. Default: at the outermost coils.",
 )
 @click.option(
     "--force-n",
+    metavar="N",
     type=click.FloatRange(0.01, 100.0),
     help="Force of one coil at a time. Default: a fourteenth of the platform's weight.",
 )
 @click.option(
     "--beam-mm",
+    metavar="MM",
     type=click.FloatRange(0.0, 500.0),
     default=20.0,
     help="How far the beam moves, gently, to find its direction; 0: not at all. Default: 20.",

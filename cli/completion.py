@@ -114,7 +114,7 @@ def register() -> None:
 
 
 @click.command("completion")
-@click.argument("shell", type=click.Choice(list(_SHELLS)))
+@click.argument("shell", metavar="SHELL", type=click.Choice(list(_SHELLS)))
 @click.pass_context
 def command(ctx: click.Context, shell: str) -> int:
     """Print the completion script of SHELL: bash, zsh or fish.

@@ -79,6 +79,7 @@ def status(rig_path: Path | None, as_json: bool) -> int:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
 @click.option(
     "--every-s",
+    metavar="S",
     type=click.FloatRange(0.05, 3600),
     default=0.5,
     help="Seconds between lines. Default: 0.5.",
@@ -157,8 +158,8 @@ def levitate(
 
 
 @click.command("move")
-@click.option("--beam-m", type=float, help="Target position of the beam in m.")
-@click.option("--rotor-rad", type=float, help="Target angle of the rotor in rad.")
+@click.option("--beam-m", metavar="M", type=float, help="Target position of the beam in m.")
+@click.option("--rotor-rad", metavar="RAD", type=float, help="Target angle of the rotor in rad.")
 @_RIG
 @_JSON
 @_IF_GONE

@@ -46,10 +46,14 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
     "the identification does not use it.",
 )
 @click.option(
-    "--order", type=click.IntRange(1, 50), help="Number of states; default: chosen from the data."
+    "--order",
+    metavar="N",
+    type=click.IntRange(1, 50),
+    help="Number of states; default: chosen from the data.",
 )
 @click.option(
     "--impulse-s",
+    metavar="S",
     type=click.FloatRange(min=0.0, min_open=True),
     help="Length of the impulse response in s; default: chosen from the data.",
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 
 import click
@@ -54,6 +55,15 @@ _SECTIONS = {
 }
 """Sections of `levid --help`. A command of no section is listed under "Other commands"."""
 
+_PLAIN = (
+    (r"is not a valid float(?: range)?\b", "is not a number"),
+    (r"is not a valid integer(?: range)?\b", "is not a whole number"),
+    (r"is not in the range x>=(\S+?)\.?$", r"is not at least \1."),
+    (r"is not in the range x>(\S+?)\.?$", r"is not greater than \1."),
+    (r"is not in the range x<=(\S+?)\.?$", r"is not at most \1."),
+    (r"is not in the range (\S+?)<=x<=(\S+?)\.?$", r"is not between \1 and \2."),
+)
+"""Messages of click about numbers, and words for them."""
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 _COMPLETE = "_LEVID_COMPLETE"
@@ -93,6 +103,7 @@ def main() -> None:
     try:
         code = levid(prog_name="levid", complete_var=_COMPLETE, standalone_mode=False)
     except click.ClickException as error:
+        error.message = plain(error.message)
         error.show()
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
@@ -104,9 +115,26 @@ def main() -> None:
     except Exception as error:
         if not _user_error(error):
             raise
-        click.echo(f"error: {error}", err=True)
+        click.echo(f"error: {_words(error)}", err=True)
         sys.exit(EXIT_FAILED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _words(error: Exception) -> str:
+    """Return the message of a user's error; that of the operating system with file and remedy."""
+    if not isinstance(error, OSError) or error.errno is None:
+        return str(error)
+    from ..log.errors import reason
+
+    files = " and ".join(str(file) for file in (error.filename, error.filename2) if file)
+    return f"{files}: {reason(error)}" if files else reason(error)
+
+
+def plain(usage: str) -> str:
+    """Return a message of the option parser without the types of its language."""
+    for pattern, words in _PLAIN:
+        usage = re.sub(pattern, words, usage)
+    return usage
 
 
 def _user_error(error: Exception) -> bool:

@@ -31,6 +31,7 @@ class FilePath(click.Path):
     def __init__(self, *suffixes: str, kind: str = "", files: bool = True) -> None:
         super().__init__(path_type=Path)
         self.suffixes, self.kind, self.files = suffixes, kind, files
+        self.name = "file" if files else "folder"  # as the help shows it
 
     def shell_complete(
         self,

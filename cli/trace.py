@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 @click.option(
     "--workers",
+    metavar="N",
     type=click.IntRange(min=1),
     help="Number of worker processes. Default: one per processor; imported records need none.",
 )

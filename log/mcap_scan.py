@@ -356,7 +356,10 @@ def _check_magic(data: memoryview) -> None:
     if not head:
         raise LogError("expected an MCAP log, found an empty file")
     if head != MCAP0_MAGIC[: len(head)]:
-        raise LogError(f"expected an MCAP file, starting with {MCAP0_MAGIC!r}, found {head!r}")
+        raise LogError(
+            "expected an MCAP log, found another kind of file; `levid import` converts CSV, text, "
+            "NPZ and MAT files"
+        )
     if len(head) < len(MCAP0_MAGIC):
         raise LogError(f"the file is cut off at byte {len(head)}, within its first 8 bytes")
 

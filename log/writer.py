@@ -34,7 +34,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from .. import __version__
-from .errors import LogError
+from .errors import LogError, reason
 from .mcap_scan import HEAD
 from .message_array import MessageLayout
 from .signals import ros2msg
@@ -317,7 +317,7 @@ class LogWriter:
                 view = view[self._file.write(view) :]
         except OSError as error:
             self._file.close()
-            raise LogError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise LogError(f"{self.path}: cannot be written: {reason(error)}") from None
         self._crc = zlib.crc32(data, self._crc)
         self._at += len(data)
         return data

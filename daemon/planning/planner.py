@@ -14,7 +14,7 @@ from ..control.states import State
 from .plan import MOST_CYCLES, Plan, plan_session, plan_steps
 from .plan_memory_file import PlannedRequest
 from .predicted_motion import motion_finding
-from .refused_request import RELOADED, RefusedError, Situation, override_hint
+from .refused_request import RELOADED, RefusedError, Situation, override_hint, wrong_state
 
 Request = Mapping[str, Any]
 
@@ -92,10 +92,7 @@ class Planner:
     def _move(self, request: Request, situation: Situation) -> PlannedRequest:
         move = parse(request.get("move") or {}, Move, "move")
         if situation.state is not State.LEVITATING:
-            raise RefusedError(
-                f"move: expected the state LEVITATING (levid levitate), "
-                f"found {situation.state.name}"
-            )
+            raise RefusedError(f"move: {wrong_state(situation.state, State.LEVITATING)}")
         plan = self._by_hand(Step(move=move), situation)
         return self._planned("move", plan, request, None, "", b"", "")
 
@@ -200,7 +197,7 @@ def least_cycles(session: SessionConfig, rate_hz: float) -> int:
 def _require_rest(op: str, situation: Situation) -> None:
     """Raise RefusedError unless the state is IDLE, before the effort of planning."""
     if situation.state is not State.IDLE:
-        raise RefusedError(f"{op}: expected the state IDLE, found {situation.state.name}")
+        raise RefusedError(f"{op}: {wrong_state(situation.state, State.IDLE)}")
 
 
 def _as_started(rig: RigConfig) -> RigConfig:

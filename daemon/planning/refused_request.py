@@ -31,6 +31,18 @@ class Situation:
     coils_known: bool = False
 
 
+def wrong_state(found: State, wanted: State) -> str:
+    """Return the refusal of a request that needs another state of the loop, with a remedy."""
+    remedy = "land first: `levid land`"
+    if found is State.FAULT:
+        remedy = "`levid status` shows the fault; remove its cause, then run `levid clear`"
+    elif found in (State.OFF, State.SELF_TEST):
+        remedy = "the daemon prepares its devices; try again in a few seconds"
+    elif wanted is State.LEVITATING:
+        remedy = "lift off first: `levid levitate`" if found is State.IDLE else "wait for its end"
+    return f"expected the state {wanted.name}, found {found.name}: {remedy}"
+
+
 def override_hint(*checks: Check) -> str:
     """Return how a client flies in spite of failed checks, as the end of a refusal."""
     options = " ".join(f"--override {check}" for check in checks)

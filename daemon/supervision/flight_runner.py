@@ -18,7 +18,7 @@ from ..ipc.row_ring import NO_LOG
 from ..ipc.shared_memory import SharedMemory
 from ..ipc.shared_status_words import ControlWords, Word
 from ..planning.plan import Plan, PlannedStep
-from ..planning.refused_request import RefusedError
+from ..planning.refused_request import RefusedError, wrong_state
 from ..recording.log_metadata import FlightResult, RecordingError
 from ..recording.log_router import LogFile
 from ..recording.recorder_link import RecorderLink
@@ -118,14 +118,12 @@ class JobRunner:
         """Start `job`; raises RefusedError."""
         control_words = self._control_words
         if self.job is not None:
-            raise RefusedError("a session is being flown")
+            raise RefusedError("a session is being flown; `levid land` ends it")
         if control_words.fault is not Fault.NONE:
             raise RefusedError(in_fault(control_words))
         wanted = State.IDLE if job.begins_at_rest else State.LEVITATING
         if control_words.state is not wanted or control_words[Word.PLAN]:
-            raise RefusedError(
-                f"expected the state {wanted.name}, found {control_words.state.name}"
-            )
+            raise RefusedError(wrong_state(control_words.state, wanted))
         if job.begins_at_rest:
             self._recorder.forget()
             self._flight_log = NO_LOG
@@ -326,4 +324,5 @@ class JobRunner:
 def in_fault(control_words: ControlWords) -> str:
     """Return the reason to refuse a flight while in a fault."""
     detail = f" ({control_words.detail})" if control_words.detail else ""
-    return f"in fault {control_words.fault.name}{detail}: clear it first"
+    clear = "clear it first: remove its cause, then run `levid clear`"
+    return f"in fault {control_words.fault.name}{detail}: {clear}"

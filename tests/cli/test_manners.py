@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
 import re
+import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from levid.cli.command_group import unknown_command
-from levid.cli.main import _SECTIONS, _VERBS
+from levid.cli.main import _SECTIONS, _VERBS, _words
 
 LONG = """
 levid: session
@@ -131,3 +133,61 @@ def test_nothing_but_text_is_written_to_a_file_or_a_pipe(levid, tmp_path: Path) 
 
 def test_no_command_writes_an_escape_code_into_its_help(levid) -> None:
     assert all("\x1b" not in levid(verb, "--help").out for verb in ("run", "new", "check"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["move", "--beam-m", "far"], "'--beam-m': 'far' is not a number."),
+        (["watch", "--every-s", "0"], "0.0 is not between 0.05 and 3600."),
+        (["watch", "--every-s", "?"], "'?' is not a number."),
+        (["identify", "a", "--out", "b", "--order", "?"], "'?' is not a whole number."),
+        (["identify", "a", "--out", "b", "--impulse-s", "0"], "0.0 is not greater than 0.0."),
+        (["trace", "a", "--out", "b", "--workers", "0"], "0 is not at least 1."),
+    ],
+)
+def test_wrong_number_is_reported_in_words(levid, arguments: list[str], words: str) -> None:
+    outcome = levid(*arguments)
+    assert outcome.code == 2
+    assert words in outcome.err
+
+
+@pytest.mark.parametrize("verb", _VERBS)
+def test_no_name_of_a_type_is_in_a_help(levid, verb: str) -> None:
+    assert not re.search(r"\b(FLOAT|INTEGER|PATH|RANGE|TEXT)\b", levid(verb, "--help").out)
+
+
+def test_error_of_the_operating_system_names_file_and_remedy() -> None:
+    full = OSError(errno.ENOSPC, "No space left on device", "out/model.yaml")
+    assert _words(full) == (
+        "out/model.yaml: No space left on device: remove files, or write to another disk"
+    )
+    assert _words(OSError(errno.ENOENT, "No such file or directory", "a")) == (
+        "a: No such file or directory"
+    )
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a small disk")
+def test_full_disk_is_reported_with_its_file_and_a_remedy(levid, tmp_path: Path) -> None:
+    disk, session = tmp_path / "disk", tmp_path / "session.yaml"
+    disk.mkdir()
+    session.write_text(LONG.replace("3600", "20"))
+    mount = ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", disk]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip("this machine mounts no disk")
+    try:
+        outcome = levid("excite", session, "--virtual", "--out", disk / "out")
+    finally:
+        subprocess.run(["umount", disk], check=True)
+    assert outcome.code == 1
+    assert re.search(r"mcap: cannot be written: No space left on device: remove files", outcome.err)
+
+
+@pytest.mark.parametrize("verb", ["identify", "trace", "check"])
+def test_file_that_is_no_log_is_reported_without_its_bytes(levid, tmp_path: Path, verb) -> None:
+    path = tmp_path / "data.mcap"
+    path.write_text("time,position\n0,1\n")
+    out = [] if verb == "check" else ["--out", tmp_path / "out"]
+    outcome = levid(verb, path, *out)
+    assert outcome.code == 1
+    assert "expected an MCAP log, found another kind of file; `levid import`" in outcome.err

@@ -46,11 +46,35 @@ _VERBS = {
 }
 
 _SECTIONS = {
-    "Start": ("demo", "new", "check"),
-    "Run the rig": ("run", "electronics", "commission", "install-service"),
-    "Fly": ("excite", "levitate", "move", "land", "stop", "clear", "status", "watch"),
-    "Identify": ("identify", "trace"),
-    "Logs and data": ("import", "salvage"),
+    "Start": (
+        "demo",
+        "new",
+        "check",
+    ),
+    "Run the rig": (
+        "run",
+        "electronics",
+        "commission",
+        "install-service",
+    ),
+    "Fly": (
+        "excite",
+        "levitate",
+        "move",
+        "land",
+        "stop",
+        "clear",
+        "status",
+        "watch",
+    ),
+    "Identify": (
+        "identify",
+        "trace",
+    ),
+    "Logs and data": (
+        "import",
+        "salvage",
+    ),
     "Shell": ("completion",),
 }
 """Sections of `levid --help`. A command of no section is listed under "Other commands"."""

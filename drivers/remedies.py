@@ -56,7 +56,10 @@ def bring_up(bus: CanBus) -> str:
     if name.startswith("vcan"):
         return f"bring it up: sudo ip link set {name} up"
     fd = f" dbitrate {bus.data_bitrate} fd on" if bus.fd else ""
-    return f"bring it up: sudo ip link set {name} up type can bitrate {bus.bitrate}{fd}"
+    return (
+        f"bring it up: sudo ip link set {name} up txqueuelen 64 type can bitrate {bus.bitrate}{fd} "
+        "restart-ms 100"
+    )
 
 
 def can_problem(bus: CanBus, error: Exception) -> str:

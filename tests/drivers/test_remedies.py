@@ -50,10 +50,10 @@ def test_missing_network_interface() -> None:
 @pytest.mark.parametrize(
     ("more", "command"),
     [
-        ({}, "sudo ip link set can0 up type can bitrate 500000"),
+        ({}, "up txqueuelen 64 type can bitrate 500000 restart-ms 100"),
         (
             {"data_bitrate": 4_000_000},
-            "sudo ip link set can0 up type can bitrate 500000 dbitrate 4000000 fd on",
+            "up txqueuelen 64 type can bitrate 500000 dbitrate 4000000 fd on restart-ms 100",
         ),
     ],
 )
@@ -67,7 +67,7 @@ def test_network_interface_that_is_down(
     bus = CanBus.model_validate(
         {"interface": "socketcan", "channel": "can0", "bitrate": 500_000, **more}
     )
-    problem = f"network interface can0 is down: bring it up: {command}"
+    problem = f"network interface can0 is down: bring it up: sudo ip link set can0 {command}"
     assert remedies.network_problem(bus) == problem
     assert remedies.can_problem(bus, OSError(errno.ENETDOWN, "Network is down")) == problem
     flags.write_text("0x40081\n")

@@ -127,8 +127,9 @@ def main() -> None:
     try:
         code = levid(prog_name="levid", complete_var=_COMPLETE, standalone_mode=False)
     except click.ClickException as error:
-        error.message = plain(error.message)
-        error.show()
+        text = io.StringIO()
+        error.show(text)
+        click.echo(plain(text.getvalue()), err=True, nl=False)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
@@ -157,7 +158,7 @@ def _words(error: Exception) -> str:
 def plain(usage: str) -> str:
     """Return a message of the option parser without the types of its language."""
     for pattern, words in _PLAIN:
-        usage = re.sub(pattern, words, usage)
+        usage = re.sub(pattern, words, usage, flags=re.M)
     return usage
 
 

@@ -39,7 +39,8 @@ _LEAST_REPORTED = 1e-3
     "--preflight",
     "before_flight",
     is_flag=True,
-    help="Make the checks before a lift-off: of --rig and this machine, and of each session.",
+    help="Run the checks that the daemon runs before lift-off: of --rig, of this machine and of "
+    "each session.",
 )
 @click.option(
     "--out",
@@ -197,15 +198,17 @@ def _loop(rig: RigConfig, path: Path) -> str:
     if found is None:
         return ""
     if math.isfinite(found.growth_s):
-        fewer = f"{found.gain_factor:.2g} times these" if found.gain_factor else "none"
+        stable = f"at {found.gain_factor:.2g} times these gains" if found.gain_factor else "at none"
         raise ConfigError(
-            f"{path}: control: with the model, this loop is unstable: a deviation grows by e in "
-            f"{found.growth_s:.2g} s; stable of smaller gains: {fewer}"
+            f"{path}: control: expected gains with which the loop is stable on the declared model, "
+            f"found a deviation that grows by a factor of 2.7 in {found.growth_s:.2g} s; of "
+            f"smaller gains, the loop is stable {stable}"
         )
     if found.gain_factor < USUAL_GAIN_FACTOR:
         click.echo(
-            f"{path}: warning: control: with the model, {found.gain_factor:.2g} times these gains "
-            f"are the limit of stability; expected {USUAL_GAIN_FACTOR:g} times or more",
+            f"{path}: warning: control: on the declared model the loop becomes unstable at "
+            f"{found.gain_factor:.2g} times these gains; expected {USUAL_GAIN_FACTOR:g} times or "
+            "more: lower the gains",
             err=True,
         )
     return f"; stable up to {found.gain_factor:.2g} times the gains"

@@ -40,27 +40,30 @@ _COILS_A_WEIGHT = 14.0
     metavar="MM",
     type=click.FloatRange(0.1, 20.0),
     default=1.8,
-    help="Way of the platform between its lower and upper stops. Default: 1.8.",
+    help="Travel of the platform in mm, from its lower to its upper stops. Default: 1.8.",
 )
 @click.option(
     "--stops-mm",
     metavar="X Y",
     type=click.FloatRange(1.0, 1000.0),
     nargs=2,
-    help="Half the distance of the stops along x and along y. Default: at the outermost coils.",
+    help="Half the distance in mm between the stops along x, and along y. Default: that of the "
+    "outermost coils.",
 )
 @click.option(
     "--force-n",
     metavar="N",
     type=click.FloatRange(0.01, 100.0),
-    help="Force of one coil at a time. Default: a fourteenth of the platform's weight.",
+    help="Force in N with which one coil at a time pushes. Default: a fourteenth of the "
+    "platform's weight.",
 )
 @click.option(
     "--beam-mm",
     metavar="MM",
     type=click.FloatRange(0.0, 500.0),
     default=20.0,
-    help="How far the beam moves, gently, to find its direction; 0: not at all. Default: 20.",
+    help="Distance in mm that the beam moves, slowly, to find its direction; 0: it does not "
+    "move. Default: 20.",
 )
 @click.option(
     "--measure",
@@ -118,7 +121,7 @@ def command(
     first = out.with_stem(f"{out.stem}-first-lift")
     for new in (out, first):
         if new.exists():
-            raise CommissionError(f"{new}: exists; a rig is never written over")
+            raise CommissionError(f"{new}: exists; levid overwrites no rig: give another path")
     if out.absolute().parent.resolve() != rig.absolute().parent.resolve():
         raise CommissionError(
             f"--out {out}: expected a file beside {rig}: the copy keeps its relative paths"

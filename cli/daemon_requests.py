@@ -286,5 +286,8 @@ def _request(
             return client.request(op, on_line, **arguments)
         except KeyboardInterrupt:
             if op in ("levitate", "move") and arguments.get("client_gone") != "land":
-                say("the daemon follows service.client_gone of its rig; run 'levid land' to land")
+                say(
+                    "the flight goes on or lands, as service.client_gone of the rig says; "
+                    "`levid land` lands it"
+                )
             raise

@@ -19,9 +19,9 @@ from .progress import say
 def command(rig: Path) -> int:
     """Emulate the electronics of RIG.yaml on its buses, in real time, with its simulated plant.
 
-    Commands on standard input inject faults while it runs; each prints one line. `help` lists the
-    faults, `trip 3` (name and argument) injects one, `clear` removes all, `status` prints JSON.
-    Ctrl-C or SIGTERM ends it; the end of standard input does not.
+    Type a command to inject a fault: `trip 3` trips coil 3, `help` lists all faults, `clear`
+    removes them, `status` prints JSON. Each command prints one line. Ctrl-C or SIGTERM ends it; the
+    end of standard input does not.
 
     \b
     Examples:

@@ -89,13 +89,16 @@ def command(
     if virtual:
         result = fly_here(config, session, rig_path, sim_path, out)
     elif sim_path is not None:
-        raise click.UsageError("--sim needs --virtual; the daemon flies what its rig names")
+        raise click.UsageError(
+            "--sim: expected --virtual too; without it the daemon flies the SIM.yaml of its rig"
+        )
     else:
         result = _on_daemon(session, rig_path, out, if_gone, override)
     late = f", {result.late} late cycles" if result.late else ""
     lost = f", {result.lost} rows lost" if result.lost else ""
+    records = f"{len(result.records)} record{'s' * (len(result.records) != 1)}"
     say(
-        f"flew {result.cycles} cycles, {len(result.records)} records{late}{lost}, "
+        f"flew {result.cycles} cycles, {records}{late}{lost}, "
         f"logs in {result.logs[0].parent if result.logs else out}"
     )
     if result.coil_check:
@@ -149,7 +152,7 @@ def refuse_used_folder(out: Path) -> None:
         return
     if logs:
         raise ConfigError(
-            f"--out {out}: expected a folder without logs, found {len(logs)} logs "
+            f"--out {out}: expected a folder without logs, found {len(logs)} "
             f"({logs[0].name}, ...); logs are never overwritten: name another folder"
         )
 
@@ -187,7 +190,10 @@ def _on_daemon(
         raise NoDaemonError(f"{error}, or fly in this process with --virtual") from None
     except KeyboardInterrupt:
         if if_gone != "land":
-            say("the daemon follows service.client_gone of its rig; run 'levid land' to land")
+            say(
+                "the flight goes on or lands, as service.client_gone of the rig says; `levid land` "
+                "lands it"
+            )
         raise
 
 

@@ -51,7 +51,9 @@ def signals(file: Path, out: Path | None) -> int:
         with out.open("x", encoding="utf-8") as new:
             new.write(draft.text)
     except FileExistsError:
-        raise LogError(f"{out}: exists; a draft is never written over a file") from None
+        raise LogError(
+            f"{out}: exists; levid does not overwrite it: give another path with -o"
+        ) from None
     click.echo(f"{out}: draft written")
     for text in draft.fill_in:
         click.echo(f"fill in: {text}")

@@ -63,9 +63,11 @@ def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
                 Finding(Check(f["check"]), Outcome(f["outcome"]), f["found"], f["remedy"])
                 for f in answer["preflight"]
             ]
-        say(f"the running daemon flies another rig or another version of {path}: it is not asked")
+        say(f"the running daemon flies another rig or version of {path}; its checks are left out")
     lacking = missing(Context(rig, 1 / rig.rate_hz, path.parent))
-    devices = Finding(Check.DEVICES, Outcome.UNKNOWN, "tested by the daemon: levid run")
+    devices = Finding(
+        Check.DEVICES, Outcome.UNKNOWN, "not tested: only the daemon (levid run) opens the devices"
+    )
     if lacking:
         devices = Finding.of(Check.DEVICES, False, "; ".join(lacking), "see there")
     refused = real_time_rights(rig.realtime)
@@ -80,7 +82,9 @@ def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
             "run levid as the service, or allow it (rtprio and memlock in "
             "/etc/security/limits.conf)",
         ),
-        Finding(Check.CPU, Outcome.UNKNOWN, "measured by the daemon at rest: levid run"),
+        Finding(
+            Check.CPU, Outcome.UNKNOWN, "not measured: only the daemon (levid run) measures it"
+        ),
         loop_finding(rig, 1 / rig.rate_hz),
     ]
 

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 def command(logs: tuple[Path, ...], out: Path | None, like: Path | None, as_json: bool) -> int:
     """Recover all rows in undamaged chunks of LOGS and write them to new logs.
 
-    A log ends for its readers at the first damage. This command finds the chunks behind it, and
-    takes only those whose checksum is right, so no wrong row is returned. LOGS are not changed; the
+    Readers stop at the first damage in a log. This command finds the chunks after it. It accepts
+    only chunks with a correct checksum, so it returns no wrong row. It does not change LOGS; the
     new logs are NAME.salvaged.mcap.
 
     \b
@@ -89,7 +89,10 @@ def _print(found: Salvaged, written: tuple[Path, ...]) -> None:
     for path in written:
         click.echo(f"{path}: written")
     if not found.metadata:
-        say("What the session was is lost: `levid identify` needs it. Salvage again with --like.")
+        say(
+            "the session's description is lost, and `levid identify` needs it: salvage again with "
+            "--like and an undamaged log of the same session"
+        )
         return
     say(f"next: levid identify {quoted(*written)} --out {quoted(written[0].with_suffix(''))}")
 

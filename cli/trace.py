@@ -284,5 +284,5 @@ def _workers(
         raise click.UsageError(
             "--dask needs the package distributed: pip install 'levid[cluster]'"
         ) from None
-    say(f"working on {dask}")
+    say(f"tracing on the cluster at {dask}")
     return cluster_workers(config, dask, say)

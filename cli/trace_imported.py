@@ -127,8 +127,7 @@ def words_of(found: ForceTrace) -> list[str]:
     ]
     if result.floor is None:
         lines.append(
-            "note: no record tells noise from what the model lacks: nothing says that the model "
-            "explains the records"
+            "note: no record separates noise from model error: the model may lack more than this"
         )
     return lines + [f"note: {note}" for note in found.notes]
 
@@ -138,19 +137,21 @@ def _law(law: FoundLaw) -> list[str]:
     values = _values(law.parameters)
     lines = [f"  {law.name}" + ("" if law.free else f": {values} (95 %)"), f"    {effect.equation}"]
     lines.append(
-        f"    takes {100 * rated.share:.3g} % of the squared missing force of blocks that did not "
-        f"fit it ({rated.gain.statistic:.1f} standard errors)"
+        f"    explains {100 * rated.share:.3g} % of the squared missing force in held-out blocks "
+        f"(z = {rated.gain.statistic:.1f})"
     )
     if law.alternatives:
         how = effect.told_apart_by or "another excitation"
-        lines.append(f"    these records do not tell its members apart; {how} would")
+        lines.append(
+            f"    these records do not distinguish its members; to distinguish them: {how}"
+        )
     if law.doubtful:
         lines.append(f"    in doubt: {'; '.join(law.doubts)}")
     if law.inexact:
         lines.append(f"    not exact: {law.inexact}")
     if law.laws:
         names = ", ".join(r.placed.effect.title for r in law.laws)
-        lines.append(f"    other laws of it fit as well: {names}")
+        lines.append(f"    other laws for it fit as well: {names}")
     return lines
 
 

@@ -223,7 +223,9 @@ def write_corrected(path: Path, text: str) -> None:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise CommissionError(f"{path}: exists; a rig is never written over") from None
+        raise CommissionError(
+            f"{path}: exists; levid overwrites no rig: give another path"
+        ) from None
 
 
 def _order(place: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -230,7 +230,7 @@ def test_draft_is_never_written_over_a_file(user: Folder, levid: Command) -> Non
     user.draft(data)
     code, _, err = levid("new", "signals", data, "-o", user.signals)
     assert code == 1
-    assert "exists; a draft is never written over a file" in err
+    assert "exists; levid does not overwrite it: give another path with -o" in err
 
 
 def test_draft_without_a_rate_says_what_to_fill_in(user: Folder, levid: Command) -> None:

@@ -140,7 +140,7 @@ def test_cluster_gives_the_same_result_to_the_last_digit(
             "trace", *logs(flown), "--out", tmp_path, "--dask", cluster.scheduler_address
         )
     assert code == 0
-    assert f"working on {cluster.scheduler_address}" in err
+    assert f"tracing on the cluster at {cluster.scheduler_address}" in err
     assert (tmp_path / "model.yaml").read_text() == (flown / "trace" / "model.yaml").read_text()
 
 

@@ -100,5 +100,5 @@ def test_folder_on_a_full_disk_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("key", ["quota_gb", "keep_days"])
 def test_a_limit_needs_the_root_that_it_is_for(key: str) -> None:
-    with pytest.raises(ValueError, match=f"expected root, .* beside {key}"):
+    with pytest.raises(ValueError, match=f"{key}: expected the key root beside it"):
         Recording(**{key: 1.0})

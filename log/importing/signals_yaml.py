@@ -141,7 +141,7 @@ class SignalsFile(Strict):
                 if name not in by_role[role]:
                     known = ", ".join(by_role[role]) or "none"
                     raise ValueError(
-                        f"loop.controller: expected a column of role {role} ({known}), found "
+                        f"loop.controller: expected a column of role {role} (declared: {known}), found "
                         f"'{name}'"
                     )
         return self

@@ -384,7 +384,7 @@ def test_unreadable_schemas_and_files_are_rejected(tmp_path):
         read_bytes(tmp_path, mcap_bytes(lambda _: None))
     with pytest.raises(LogError, match="found an empty file"):
         read_bytes(tmp_path, b"")
-    with pytest.raises(LogError, match=r"expected an MCAP file.*found b'levid: s'"):
+    with pytest.raises(LogError, match=r"expected an MCAP log, found another kind of file"):
         read_bytes(tmp_path, b"levid: session\n")
     with pytest.raises(LogError, match=r"missing\.mcap: cannot be read: No such file"):
         read_log(tmp_path / "missing.mcap")

@@ -141,11 +141,17 @@ def test_unstable_plant_is_identified_in_its_loop(tmp_path: Path, text: str, met
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (loop("ref_m"), "'ref_m': expected a column of role reference (there is none)"),
-        (loop().replace("f_n:", "g_n:"), "'g_n': expected a column of role input"),
+        (loop("ref_m"), "expected a column of role reference (declared: none), found 'ref_m'"),
+        (
+            loop().replace("f_n:", "g_n:"),
+            "expected a column of role input (declared: f_n), found 'g_n'",
+        ),
         ("loop: {controller: known}\n", "controller"),
         (EXCITATION.replace("}", ", of: y_n}"), "expected one of the inputs f_n, found y_n"),
-        (EXCITATION.replace("excitation", "other, of: f_n"), "of: expected only with role"),
+        (
+            EXCITATION.replace("excitation", "other, of: f_n"),
+            "of: expected with role excitation only",
+        ),
     ],
 )
 def test_mistakes_in_the_loop_are_named(text: str, words: str) -> None:

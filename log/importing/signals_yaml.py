@@ -141,8 +141,8 @@ class SignalsFile(Strict):
                 if name not in by_role[role]:
                     known = ", ".join(by_role[role]) or "none"
                     raise ValueError(
-                        f"loop.controller: expected a column of role {role} (declared: {known}), found "
-                        f"'{name}'"
+                        f"loop.controller: expected a column of role {role} (declared: {known}), "
+                        f"found '{name}'"
                     )
         return self
 

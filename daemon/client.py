@@ -66,11 +66,15 @@ class Client:
         trace: TracebackType | None,
     ) -> None:
         """Disconnect at once, even if other objects still hold the socket or its stream."""
-        with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
+        self.disconnect()
         with contextlib.suppress(OSError):  # unsent bytes are discarded
             self._stream.close()
         self._socket.close()
+
+    def disconnect(self) -> None:
+        """Disconnect, from any thread; a request that waits for its answer raises DaemonError."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def _connect(self) -> None:
         deadline_s = time.monotonic() + _TIMEOUT_S

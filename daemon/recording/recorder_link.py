@@ -86,6 +86,12 @@ class RecorderLink:
         """Why nothing is recorded; empty if recording works."""
         return self.gone or self._log_failed or self._fault_failed
 
+    @property
+    def writing(self) -> str:
+        """Path of the log that is being written; empty if there is none."""
+        files = self.files.get(self._control_words[Word.WRITING], [])
+        return str(files[-1]) if files else ""
+
     def define(self, file: LogFile) -> int:
         """Announce a log to the recorder; return the tag for its rows."""
         self._tags += 1

@@ -248,6 +248,11 @@ class JobRunner:
         flown = self._control_words[Word.CYCLE] - job.start_cycle
         return min(max(flown / max(job.plan.cycles, 1), 0.0), 1.0)
 
+    def left_s_of(self, job: Job) -> float:
+        """Return the time in s until the job's plan ends; cycles that it skipped come on top."""
+        flown = self._control_words[Word.CYCLE] - job.start_cycle
+        return max(job.plan.cycles - flown, 0) / self._rig.rate_hz
+
     def _check_coils(self, job: Job, feeder: SegmentFeeder) -> None:
         """Evaluate a coil check once it is flown, while the platform settles.
 

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 from ..api.control_server import LONGEST_SHORT, Handler, Reply
@@ -91,7 +91,8 @@ class Requests:
 
     def tick(self, now_s: float, status: Callable[[], dict[str, Any]]) -> None:
         """Send status to watchers and advance the current request, in the supervisor's thread."""
-        self.watchers[:] = [w for w in self.watchers if w.tick(now_s, status)]
+        once = cache(status)  # one status for all watchers of this tick
+        self.watchers[:] = [w for w in self.watchers if w.tick(now_s, once)]
         turn = self._turn
         if turn is None or turn.flying:
             return

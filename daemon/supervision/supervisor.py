@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 import zlib
@@ -37,9 +36,11 @@ from ..service.journal import moment
 from ..service.systemd_notify import Notify
 from .fault_clearing import PendingClears
 from .flight_runner import JobRunner
+from .live_readings import last_cycle, live_readings, recent_rows
 from .loop_monitor import LoopMonitor
 from .missing_readings_at_rest import StaleMonitor
 from .preflight import Preflight
+from .recent_events import RecentEvents
 from .request_handlers import Requests
 from .rig_reload import RigReader
 
@@ -72,7 +73,8 @@ class Supervisor:
         check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
         feed_forward(rig, 1.0 / rig.rate_hz)
         self.preflight = Preflight(self, rig, folder)
-        self._log, self._rarely = log, RateLimitedLog(log)
+        self._log = log = RecentEvents(log)
+        self._rarely = RateLimitedLog(log)
         self._shared = SharedMemory(rig)
         self.control_words = self._shared.control_words
         rig_json = rig.model_dump_json().encode()
@@ -142,6 +144,12 @@ class Supervisor:
         """Return the folder for the logs of a request; a relative one is below `log_root`."""
         root = self.log_root
         return Path(out) if root is None else root / out
+
+    @property
+    def _present_log_folder(self) -> str:
+        """Folder of the log being written, else of all logs, else of flight recordings."""
+        log, root = self.recorder.writing, self.log_root
+        return str(Path(log).parent if log else root or fault_folder(self.rig, self._folder))
 
     def timing(self) -> dict[str, Any]:
         """Return the times of the cycles so far, as in the status."""
@@ -241,11 +249,8 @@ class Supervisor:
         control_words, job_runner = self.control_words, self.job_runner
         job = job_runner.job  # a local reference: the job may end meanwhile
         timing = self.timing()
-        rows = self._shared.ring.last(1).rows
-        pose = {
-            name: _number(rows[name][0]) if len(rows) else None
-            for name in ("psi_rad", "theta_rad", "z_m", "beam_m", "rotor_rad")
-        }
+        rows = self._shared.ring.last(recent_rows(self.rig)).rows
+        readings = live_readings(rows, self._shared.heat, self.rig)
         return {
             "rig": self.rig.name,
             "rig_crc32": self._rig_crc32,
@@ -261,8 +266,11 @@ class Supervisor:
             "session": job.plan.name if job else None,
             "step": job_runner.step_of(job) if job else None,
             "share": job_runner.share_of(job) if job else None,
+            "left_s": job_runner.left_s_of(job) if job else None,
             "clock_stepped_s": round(self._clock.stepped_s, 1),
             "recording": self.recorder.problem,
+            "log": self.recorder.writing,
+            "log_folder": self._present_log_folder,
             "recorder_restarts": max(self.recorder.restarts, 0),
             "clients_gone": job_runner.clients_gone,
             "flooded_s": round(self._resources.flooded_s, 1),
@@ -274,11 +282,17 @@ class Supervisor:
                 "recorder": self.recorder.pid,
                 "planner": self.planner.pid,
             },
-            **pose,
+            **{
+                f"{quantity['name']}_{quantity['unit']}": quantity["value"]
+                for quantity in (*readings["pose"], *readings["manipulator"])
+            },
+            **readings,
+            "events": list(self._log.latest),
             "preflight": [finding.as_json() for finding in self.preflight.findings(timing)],
             "timing": {
                 **timing,
                 "wake_up_us": self._shared.wake_ups.figures(),
+                "last": last_cycle(rows),
             },
         }
 
@@ -376,8 +390,3 @@ class Supervisor:
             self.recorder.watch()
             self.job_runner.tick()
             time.sleep(_TICK_S)
-
-
-def _number(value: float) -> float | None:
-    """Return a finite number; None for others, which JSON cannot represent."""
-    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,26 @@
+"""The option --rig of the commands that connect to the daemon, and the socket that it names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+RIG = click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path),
+    help="RIG.yaml that names the daemon's socket. Default: the default socket.",
+)
+
+
+def socket_of(rig_path: Path | None) -> Path:
+    """Return the control socket of a rig's daemon, or of the default one; raises ConfigError."""
+    from ..daemon.api.socket_paths import socket_path
+
+    rig = None
+    if rig_path:
+        from ..config.rig import load_rig  # takes 1 s: `levid stop` without --rig must not wait
+
+        rig = load_rig(rig_path)
+    return socket_path(rig)

@@ -1,0 +1,96 @@
+"""Keep what the full screen of `levid watch` shows: status, recent values, events, messages."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..readable_values import Scale, scale_of
+
+_HISTORY = 600
+_OBSERVED = 60
+
+Status = Mapping[str, Any]
+Range = tuple[float, float]
+"""Smallest and largest value within the newest 0.25 s."""
+
+
+@dataclass
+class View:
+    """Hold the newest status and what the screen adds to it.
+
+    problem: why no status arrives; empty if connected. message: outcome of the last key, with its
+    style. asking: the request that waits for a confirmation. free_bytes: free space of the disk of
+    the logs, None if unknown. heard_s, cycled_s: time of the newest status, and of the newest one
+    with a new cycle. history: range of each DOF of the pose at each status.
+    """
+
+    status: Status | None = None
+    problem: str = ""
+    message: tuple[str, str] = ("", "")
+    asking: str = ""
+    help: bool = False
+    free_bytes: int | None = None
+    heard_s: float = 0.0
+    cycled_s: float = 0.0
+    history: dict[str, deque[Range | None]] = field(default_factory=dict)
+    _observed: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=_OBSERVED))
+    _scales: dict[str, Scale] = field(default_factory=dict)
+
+    def receive(self, status: Status) -> None:
+        """Take a new status."""
+        before, now_s = self.status, time.monotonic()
+        if before is None or before["cycle"] != status["cycle"]:
+            self.cycled_s = now_s
+        if self.problem:
+            self._observe("connected to the daemon again" if before else "connected to the daemon")
+        elif before is not None:
+            for text in _changes(before, status):
+                self._observe(text)
+        self.status, self.problem, self.heard_s = status, "", now_s
+        for quantity in status["pose"]:
+            values = self.history.setdefault(quantity["name"], deque(maxlen=_HISTORY))
+            low, high = quantity["low"], quantity["high"]
+            values.append(None if low is None or high is None else (low, high))
+
+    def lose(self, problem: str) -> None:
+        """Take the reason why no status arrives."""
+        if not self.problem and self.status is not None:
+            self._observe("lost the connection to the daemon")
+        self.problem = problem
+
+    @property
+    def silent_s(self) -> float:
+        """Time since the newest status in s."""
+        return time.monotonic() - self.heard_s
+
+    @property
+    def without_cycle_s(self) -> float:
+        """Time since the newest cycle in s: how old the readings are."""
+        return time.monotonic() - self.cycled_s
+
+    def scale(self, name: str, unit: str, noise: float | None, limit: float | None) -> Scale:
+        """Return the scale of a quantity; its number of decimals does not flicker."""
+        scale = scale_of(unit, noise, limit, self._scales.get(name))
+        self._scales[name] = scale
+        return scale
+
+    def events(self) -> list[tuple[float, str]]:
+        """Return (seconds since 1970, text) of journal lines and observed changes, oldest first."""
+        journal = [(e["time_s"], e["text"]) for e in (self.status or {}).get("events", ())]
+        return sorted([*journal, *self._observed], key=lambda event: event[0])
+
+    def _observe(self, text: str) -> None:
+        self._observed.append((time.time(), text))
+
+
+def _changes(before: Status, now: Status) -> Iterator[str]:
+    if before["state"] != now["state"]:
+        yield f"state {now['state']} (was {before['state']})"
+    if before["session"] != now["session"]:
+        yield f"session {now['session']}" if now["session"] else f"end of {before['session']}"
+    if now["step"] and before["step"] != now["step"]:
+        yield f"step {now['step']}"

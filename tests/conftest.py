@@ -48,6 +48,8 @@ _COMPUTE = (
 )
 """Tests that only compute, so that several of them may run at the same time."""
 _WAIT = (
+    "cli/watch/test_terminal_screen",
+    "cli/watch/test_watch_app",
     "report/session/test_session_page",
     "wire/can/test_local_bus",
     "wire/can/test_receive_thread",

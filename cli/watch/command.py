@@ -51,6 +51,8 @@ def watch(rig_path: Path | None, lines: bool, as_json: bool, every_s: float | No
     socket_of(rig_path)  # a wrong RIG.yaml is an error now, not on the screen
     if not _has_colours():
         os.environ["NO_COLOR"] = "1"
+    for name in ("COLUMNS", "LINES"):  # if a shell exports them, the terminal's size seems fixed
+        os.environ.pop(name, None)
     WatchApp(lambda: socket_of(rig_path), every_s or _SCREEN_S, not _has_unicode()).run()
     return 0
 
@@ -104,7 +106,7 @@ def _has_colours() -> bool:
 
 
 def _has_unicode() -> bool:
-    """Return whether the terminal shows UTF-8, as the locale says."""
-    names = (os.environ.get(name, "") for name in ("LC_ALL", "LC_CTYPE", "LANG"))
-    found = next((name for name in names if name), "")
-    return "utf" in found.lower()
+    """Return whether the terminal shows UTF-8, as the locale says; without a locale it does."""
+    # LC_CTYPE says nothing: Python sets it to UTF-8 if the locale is C (PEP 538).
+    locale = os.environ.get("LC_ALL") or os.environ.get("LANG") or "UTF-8"
+    return "utf" in locale.lower()

@@ -25,7 +25,9 @@ from .view import View
 
 _CLOCK_S, _MESSAGE_S = 1.0, 10.0
 _STYLES = {name: Style.parse(text) for name, text in STYLES.items()}
-_ASCII = str.maketrans("█▏▎▍▌▋▊▉▕│─·…±", "#|||####||-..~")
+_ASCII = str.maketrans("█▏▎▍▌▋▊▉▕│─·…±", "#|||####||-..~") | {
+    0x2800 + dots: ":" if dots else " " for dots in range(256)
+}
 
 
 class Arrived(Message):

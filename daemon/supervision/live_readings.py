@@ -47,21 +47,20 @@ def live_readings(rows: NDArray[np.void], heat_n2: Array, rig: RigConfig) -> dic
         for unit in _TILT_OR_GAP
         if f"{name}_{unit}" in _UNITS
     ]
-    newest = rows[-1] if len(rows) else None
     return {
         "pose": pose,
         "manipulator": manipulator,
         "coils": {
             "unit": _UNITS["coil_n"],
-            "value": _numbers(newest, "coil_n"),
-            "readback": _numbers(newest, "coil_readback_n"),
+            "value": _numbers(rows, "coil_n"),
+            "readback": _numbers(rows, "coil_readback_n"),
             "rms": [_number(value) for value in np.sqrt(np.maximum(heat_n2, 0.0))],
             "limit": limits.coil_n,
             "rms_limit": limits.coil_rms_n,
         },
         "gaps": {
             "unit": _UNITS["gap_m"],
-            "value": _numbers(newest, "gap_m"),
+            "value": _numbers(rows, "gap_m"),
             "noise": noise(rows["gap_m"]),
             "limit": limits.gap_m,
         },
@@ -106,8 +105,10 @@ def _quantity(
     }
 
 
-def _numbers(row: np.void | None, name: str) -> Sequence[float | None]:
-    return [] if row is None else [_number(value) for value in row[name]]
+def _numbers(rows: NDArray[np.void], name: str) -> Sequence[float | None]:
+    """Return the newest value of each channel; None of each without rows."""
+    channels = rows[name].shape[1]
+    return [_number(value) for value in rows[name][-1]] if len(rows) else [None] * channels
 
 
 def _number(value: float) -> float | None:

@@ -49,9 +49,7 @@ def test_durations_are_short() -> None:
 @pytest.mark.parametrize("coils", [3, 9, 25])
 def test_status_shows_pose_beam_coils_and_gaps_in_80_columns(coils: int) -> None:
     lines = list(status_lines(status_in_flight(rig_with(coils, coils + 1))))
-    assert lines[0] == (
-        "loopback at 1000 Hz: session white-noise, tilt, 25 %, 1 min 12 s left"
-    )
+    assert lines[0] == ("loopback at 1000 Hz: session white-noise, tilt, 25 %, 1 min 12 s left")
     table = {line.split()[0]: line.split()[1:] for line in lines if line[:1].isalpha()}
     assert table["psi"][1:] == ["urad", "6500"]
     assert float(table["psi"][0]) == pytest.approx(-45, abs=2)
@@ -81,7 +79,7 @@ def test_status_explains_every_fault_with_the_words_of_the_table() -> None:
 def test_a_status_of_an_older_daemon_is_printed_as_before() -> None:
     new = ("pose", "manipulator", "coils", "gaps", "left_s", "log", "log_folder", "events")
     old = {key: value for key, value in status_in_flight().items() if key not in new}
-    assert list(status_lines(old))[0].endswith("session white-noise, tilt, 25 %")
+    assert next(status_lines(old)).endswith("session white-noise, tilt, 25 %")
 
 
 def test_lines_of_watch_fit_80_columns() -> None:

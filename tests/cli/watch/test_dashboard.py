@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from status_of_rig import rig_with, status_in_flight
+from status_of_rig import rig_with, rows_in_flight, status_in_flight
 
 from levid.cli.watch.bars import bar, chart, signed_bar
 from levid.cli.watch.dashboard import draw
 from levid.cli.watch.styled_lines import STYLES, Line, plain, width_of, wrap
 from levid.cli.watch.view import View
 from levid.daemon.control.faults import FAULTS, Fault
+from levid.daemon.supervision.live_readings import live_readings
 
 EVERY_S = 0.2
 FAULT = {"state": "FAULT", "session": None, "step": None, "share": None, "left_s": None}
@@ -58,6 +60,15 @@ def test_state_session_pose_coils_gaps_timing_recorder_and_events_are_seen(
     rows = [line for line in text.splitlines() if "rms   7.0" in line]
     assert len(rows) == 9
     assert all(line.count("▕") >= 1 for line in rows)  # coil and sensor beside each other
+
+
+def test_before_the_first_cycle_no_value_is_shown() -> None:
+    rig = rig_with()
+    heat = np.zeros(len(rig.geometry.coil_x_m))
+    none = live_readings(rows_in_flight(rig)[:0], heat, rig)
+    view = seen(status_in_flight(rig, state="SELF_TEST", session=None, **none), 3)
+    for size in ((60, 20), (80, 24), (160, 50)):
+        assert "SELF_TEST" in text_of(view, *size)
 
 
 def test_a_large_screen_also_charts_the_pose() -> None:

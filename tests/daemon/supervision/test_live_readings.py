@@ -25,7 +25,10 @@ def test_values_limits_and_numbers_of_channels_are_those_of_the_rig() -> None:
     assert z["low"] == rows["z_m"].min() < z["value"] < z["high"] == rows["z_m"].max()
     assert theta["limit"] == rig.limits.tilt_rad
     assert z["limit"] == found["gaps"]["limit"] == rig.limits.gap_m
-    assert [(q["name"], q["limit"]) for q in found["manipulator"]] == [("beam", 0.1), ("rotor", None)]
+    assert [(q["name"], q["limit"]) for q in found["manipulator"]] == [
+        ("beam", 0.1),
+        ("rotor", None),
+    ]
     assert found["gaps"]["value"] == rows["gap_m"][-1].tolist()
     assert len(found["gaps"]["value"]) == 5
     assert found["coils"]["rms"] == [7.0, 0.0, 14.0, 1.0]
@@ -38,7 +41,7 @@ def test_without_rows_every_value_is_none_and_json_can_say_it() -> None:
     rows = rows_in_flight(rig)
     found = live_readings(rows[:0], HEAT, rig)
     assert all(q["value"] is None and q["noise"] is None for q in found["pose"])
-    assert found["coils"]["value"] == []
+    assert found["coils"]["value"] == [None] * 4
     assert last_cycle(rows[:0]) == {"lateness_us": None, "execution_us": None}
     rows["z_m"][-1] = np.nan  # a sensor without a reading
     z = live_readings(rows, HEAT, rig)["pose"][-1]

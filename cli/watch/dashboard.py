@@ -39,7 +39,7 @@ _READING = (
 )
 
 
-def draw(view: View, width: int, height: int, every_s: float) -> list[Line]:
+def draw(view: View, width: int, height: int) -> list[Line]:
     """Return the whole screen, `height` lines of `width` cells."""
     room = max(height - 2, 0)
     if view.help:
@@ -47,25 +47,23 @@ def draw(view: View, width: int, height: int, every_s: float) -> list[Line]:
     elif view.status is None or view.problem:
         body = _no_connection(view, width, room)
     else:
-        body = _body(view, view.status, width, room, every_s)
+        body = _body(view, view.status, width, room)
     body = [*body[:room], *([[]] * (room - len(body)))]
     lines = [_header(view, width), *body, _footer(view, width)]
     return [fit(line, width) for line in lines[-height:]]
 
 
-def _body(view: View, status: Status, width: int, height: int, every_s: float) -> list[Line]:
+def _body(view: View, status: Status, width: int, height: int) -> list[Line]:
     state = panels.state_panel(status, width, max(height // 2, 2))
     room = height - len(state)
     if width >= _THREE_COLUMNS:
-        return state + _three_columns(view, status, width, room, every_s)
+        return state + _three_columns(view, status, width, room)
     if width >= _TWO_COLUMNS:
-        return state + _two_columns(view, status, width, room, every_s)
+        return state + _two_columns(view, status, width, room)
     return state + _one_column(view, status, width, room)
 
 
-def _three_columns(
-    view: View, status: Status, width: int, height: int, every_s: float
-) -> list[Line]:
+def _three_columns(view: View, status: Status, width: int, height: int) -> list[Line]:
     third = (width - 4) // 3
     last = width - 4 - 2 * third
     left = [
@@ -80,10 +78,10 @@ def _three_columns(
     if max(len(coils), len(gaps)) > max(len(left), height - _LEAST_EVENTS):
         coils, gaps = panels.channels_as_numbers(view, status, third)
     top = side_by_side([(left, third), (coils, third), (gaps, last)])
-    return top + _charts_and_events(view, status, width, height - len(top), every_s, 2 * third + 2)
+    return top + _charts_and_events(view, status, width, height - len(top), 2 * third + 2)
 
 
-def _two_columns(view: View, status: Status, width: int, height: int, every_s: float) -> list[Line]:
+def _two_columns(view: View, status: Status, width: int, height: int) -> list[Line]:
     half = (width - 2) // 2
     other = width - 2 - half
     right = [
@@ -106,7 +104,7 @@ def _two_columns(view: View, status: Status, width: int, height: int, every_s: f
     return [
         *top,
         *channels,
-        *_charts_and_events(view, status, width, height - used, every_s, half),
+        *_charts_and_events(view, status, width, height - used, half),
     ]
 
 
@@ -126,7 +124,7 @@ def _one_column(view: View, status: Status, width: int, height: int) -> list[Lin
 
 
 def _charts_and_events(
-    view: View, status: Status, width: int, height: int, every_s: float, left: int
+    view: View, status: Status, width: int, height: int, left: int
 ) -> list[Line]:
     """Return charts of recent values with the events beside them, or events alone."""
     if height < _LEAST_CHARTS:
@@ -134,7 +132,7 @@ def _charts_and_events(
     right = width - 2 - left
     return side_by_side(
         [
-            (panels.history_panel(view, status, left, height, every_s), left),
+            (panels.history_panel(view, status, left, height), left),
             (panels.events_panel(view, right, height), right),
         ]
     )

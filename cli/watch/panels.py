@@ -192,14 +192,13 @@ def recorder_panel(view: View, status: Status, width: int, brief: bool = False) 
     return [fit(line, width) for line in lines]
 
 
-def history_panel(
-    view: View, status: Status, width: int, height: int, every_s: float
-) -> list[Line]:
-    """Draw a chart of the last values of each DOF; together `height` lines."""
+def history_panel(view: View, status: Status, width: int, height: int) -> list[Line]:
+    """Draw a chart of the last ranges of each DOF; together `height` lines."""
     quantities = status["pose"]
     rows = height // max(len(quantities), 1) - 1
-    if rows < 1:
+    if rows < 1 or not view.begun_s:
         return []
+    begun_s = list(view.begun_s)[-2 * width :]
     lines: list[Line] = []
     for quantity in quantities:
         name = quantity["name"]
@@ -209,9 +208,13 @@ def history_panel(
         span = ""
         if known:
             low, high = scale.text(min(known)), scale.text(max(known))
-            span = f" {low} to {high} {scale.unit}, last {duration(len(ranges) * every_s)}"
+            span = f" {low} to {high} {scale.unit}, last {duration(view.heard_s - begun_s[0])}"
         lines.append(title(f"{name}{span}", width))
-        lines += [[(row, "good")] for row in chart(ranges, width, rows)]
+        drawn_s, drawn = view.charts.get((name, width, rows), (0.0, []))
+        if drawn_s != begun_s[-1]:
+            drawn = chart(ranges, width, rows)
+            view.charts[name, width, rows] = begun_s[-1], drawn
+        lines += [[(row, "good")] for row in drawn]
     return lines
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
@@ -41,9 +42,9 @@ class Arrived(Message):
 class Dashboard(Widget):
     """Paint the lines of a view; only lines that changed are sent to the terminal."""
 
-    def __init__(self, view: View, every_s: float, ascii_only: bool) -> None:
+    def __init__(self, view: View, ascii_only: bool) -> None:
         super().__init__()
-        self._view, self._every_s, self._ascii_only = view, every_s, ascii_only
+        self._view, self._ascii_only = view, ascii_only
         self._lines: list[Line] = []
         self._strips: list[Strip] = []
 
@@ -52,7 +53,7 @@ class Dashboard(Widget):
         width, height = self.size
         if not width or not height:
             return
-        lines = draw(self._view, width, height, self._every_s)
+        lines = draw(self._view, width, height)
         if len(lines) != len(self._lines):
             self._lines, self._strips = [[]] * len(lines), [Strip([])] * len(lines)
         changed = [row for row, line in enumerate(lines) if line != self._lines[row]]
@@ -102,11 +103,11 @@ class WatchApp(App[None]):
         # The terminal's own 16 colours: they suit its background, and NO_COLOR removes them all.
         super().__init__(ansi_color=True)
         self.view = View()
-        self._dashboard = Dashboard(self.view, every_s, ascii_only)
+        self._dashboard = Dashboard(self.view, ascii_only)
         self._connection = DaemonConnection(
             find_socket,
             every_s,
-            lambda status: self._soon(lambda: self.view.receive(status)),
+            lambda status: self._soon(lambda: self.view.receive(status, time.monotonic())),
             lambda reason: self._soon(lambda: self.view.lose(reason)),
             self._take_free_bytes,
         )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
-from rich.cells import cell_len, set_cell_size
+from rich.cells import cell_len as any_cell_len
+from rich.cells import set_cell_size
 
 Span = tuple[str, str]
 """Text and the name of its style, one of STYLES; empty: plain."""
@@ -23,6 +25,15 @@ STYLES = {
     "key": "reverse",
 }
 """Styles in the 16 colours of the terminal; what they mean is always also said in text."""
+
+
+_SINGLE = re.compile("[ -~│─·…±█▏▎▍▌▋▊▉▕⠀-⣿]*")
+"""Characters that the screen draws: each takes one cell."""
+
+
+def cell_len(text: str) -> int:
+    """Return the width of a text in cells."""
+    return len(text) if _SINGLE.fullmatch(text) else any_cell_len(text)
 
 
 def width_of(line: Line) -> int:

@@ -11,11 +11,13 @@ from typing import Any
 from ..readable_values import Scale, scale_of
 
 _HISTORY = 600
+_INTERVAL_S = 0.5
+"""Shortest interval of the charts: they change, and are sent to the terminal, twice a second."""
 _OBSERVED = 60
 
 Status = Mapping[str, Any]
 Range = tuple[float, float]
-"""Smallest and largest value within the newest 0.25 s."""
+"""Smallest and largest value of an interval."""
 
 
 @dataclass
@@ -25,7 +27,7 @@ class View:
     problem: why no status arrives; empty if connected. message: outcome of the last key, with its
     style. asking: the request that waits for a confirmation. free_bytes: free space of the disk of
     the logs, None if unknown. heard_s, cycled_s: time of the newest status, and of the newest one
-    with a new cycle. history: range of each DOF of the pose at each status.
+    with a new cycle. history: ranges of each DOF of the pose. begun_s: when their intervals began.
     """
 
     status: Status | None = None
@@ -37,12 +39,17 @@ class View:
     heard_s: float = 0.0
     cycled_s: float = 0.0
     history: dict[str, deque[Range | None]] = field(default_factory=dict)
+    begun_s: deque[float] = field(default_factory=lambda: deque(maxlen=_HISTORY))
+    charts: dict[tuple[str, int, int], tuple[float, list[str]]] = field(default_factory=dict)
+    """Charts by DOF, width and height, with the time of their newest interval."""
+    _ranges: dict[str, Range | None] = field(default_factory=dict)
+    _begun_s: float | None = None
     _observed: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=_OBSERVED))
     _scales: dict[str, Scale] = field(default_factory=dict)
 
-    def receive(self, status: Status) -> None:
-        """Take a new status."""
-        before, now_s = self.status, time.monotonic()
+    def receive(self, status: Status, now_s: float) -> None:
+        """Take a status that came at a time of the monotonic clock."""
+        before = self.status
         if before is None or before["cycle"] != status["cycle"]:
             self.cycled_s = now_s
         if self.problem:
@@ -51,10 +58,7 @@ class View:
             for text in _changes(before, status):
                 self._observe(text)
         self.status, self.problem, self.heard_s = status, "", now_s
-        for quantity in status["pose"]:
-            values = self.history.setdefault(quantity["name"], deque(maxlen=_HISTORY))
-            low, high = quantity["low"], quantity["high"]
-            values.append(None if low is None or high is None else (low, high))
+        self._extend_history(status, now_s)
 
     def lose(self, problem: str) -> None:
         """Take the reason why no status arrives."""
@@ -82,6 +86,22 @@ class View:
         """Return (seconds since 1970, text) of journal lines and observed changes, oldest first."""
         journal = [(e["time_s"], e["text"]) for e in (self.status or {}).get("events", ())]
         return sorted([*journal, *self._observed], key=lambda event: event[0])
+
+    def _extend_history(self, status: Status, now_s: float) -> None:
+        """Extend the ranges of the present interval, or end it and begin the next one."""
+        if self._begun_s is not None and now_s - self._begun_s >= _INTERVAL_S:
+            for name, ended in self._ranges.items():
+                self.history.setdefault(name, deque(maxlen=_HISTORY)).append(ended)
+            self.begun_s.append(self._begun_s)
+            self._ranges, self._begun_s = {}, None
+        if self._begun_s is None:
+            self._begun_s = now_s
+        for quantity in status["pose"]:
+            low, high = quantity["low"], quantity["high"]
+            before = self._ranges.get(quantity["name"])
+            if before is not None and low is not None:
+                low, high = min(low, before[0]), max(high, before[1])
+            self._ranges[quantity["name"]] = before if low is None else (low, high)
 
     def _observe(self, text: str) -> None:
         self._observed.append((time.time(), text))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from status_of_rig import rig_with, rows_in_flight, status_in_flight
@@ -19,13 +21,13 @@ FAULT = {"state": "FAULT", "session": None, "step": None, "share": None, "left_s
 
 def seen(status, statuses: int = 1) -> View:
     view = View()
-    for _ in range(statuses):
-        view.receive(status)
+    for index in range(1 - statuses, 1):
+        view.receive(status, time.monotonic() + EVERY_S * index)
     return view
 
 
 def text_of(view: View, width: int = 80, height: int = 24) -> str:
-    return plain(draw(view, width, height, EVERY_S))
+    return plain(draw(view, width, height))
 
 
 @pytest.mark.parametrize("channels", [3, 4, 9, 30])
@@ -35,7 +37,7 @@ def test_every_size_is_filled_exactly(channels: int, fault: bool) -> None:
     view = seen(status_in_flight(rig_with(channels, channels), **more), 30)
     for width in (20, 40, 60, 69, 70, 80, 100, 119, 120, 160, 250):
         for height in (3, 5, 10, 20, 24, 30, 50, 80):
-            lines = draw(view, width, height, EVERY_S)
+            lines = draw(view, width, height)
             assert len(lines) == height
             assert {width_of(line) for line in lines} == {width}
             assert {style for line in lines for _, style in line} <= set(STYLES)
@@ -81,7 +83,7 @@ def test_a_large_screen_also_charts_the_pose() -> None:
 def test_a_fault_is_explained_in_red_with_cause_and_remedy() -> None:
     for fault in set(Fault) - {Fault.NONE}:
         status = status_in_flight(fault=fault.name, detail="0.9 mm at sensor 3", **FAULT)
-        lines = draw(seen(status), 80, 24, EVERY_S)
+        lines = draw(seen(status), 80, 24)
         text = " ".join(plain(lines).split())
         assert f"FAULT {fault.name}: 0.9 mm at sensor 3" in text
         for part in (FAULTS[fault].cause, FAULTS[fault].check, FAULTS[fault].cleared):
@@ -115,7 +117,7 @@ def test_a_lost_daemon_is_never_shown_as_if_it_were_there() -> None:
     assert "NOT CONNECTED" in text
     assert "levid run RIG.yaml" in text
     assert "EXCITING" not in text
-    view.receive(status_in_flight())
+    view.receive(status_in_flight(), time.monotonic())
     text = text_of(view)
     assert "EXCITING" in text
     assert "connected to the daemon again" in text
@@ -131,8 +133,10 @@ def test_readings_without_a_new_cycle_are_marked_as_old() -> None:
 
 def test_changes_between_two_looks_are_events() -> None:
     view = seen(status_in_flight())
-    view.receive(status_in_flight(step="lift", cycle=12400))
-    view.receive(status_in_flight(state="IDLE", session=None, step=None, cycle=12500))
+    view.receive(status_in_flight(step="lift", cycle=12400), time.monotonic())
+    view.receive(
+        status_in_flight(state="IDLE", session=None, step=None, cycle=12500), time.monotonic()
+    )
     texts = [text for _, text in view.events()]
     assert texts == [
         "loopback at 1000 Hz", "step lift", "state IDLE (was EXCITING)", "end of white-noise",

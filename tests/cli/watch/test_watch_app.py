@@ -21,7 +21,7 @@ WAIT_S, POLL_S = 60.0, 0.02
 
 
 def text_of(app: WatchApp) -> str:
-    return plain(draw(app.view, *app.size, 0.1))
+    return plain(draw(app.view, *app.size))
 
 
 async def until(pilot: Pilot[None], app: WatchApp, *texts: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import click
@@ -16,6 +18,11 @@ RIG = click.option(
 
 def socket_of(rig_path: Path | None) -> Path:
     """Return the control socket of a rig's daemon, or of the default one; raises ConfigError."""
+    return socket_finder(rig_path)()
+
+
+def socket_finder(rig_path: Path | None) -> Callable[[], Path]:
+    """Return a fast function that finds this socket anew; reads the rig now, raises ConfigError."""
     from ..daemon.api.socket_paths import socket_path
 
     rig = None
@@ -23,4 +30,4 @@ def socket_of(rig_path: Path | None) -> Path:
         from ..config.rig import load_rig  # takes 1 s: `levid stop` without --rig must not wait
 
         rig = load_rig(rig_path)
-    return socket_path(rig)
+    return partial(socket_path, rig)

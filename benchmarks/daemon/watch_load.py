@@ -29,7 +29,7 @@ from levid.benchmarks.harness.running_daemon import Daemon, loopback_rig, runnin
 SIZES = ((80, 24), (160, 50))
 _MOST = 5.0
 """Limit of the screen in percent of a processor."""
-_STARTING_S = 5.0
+_STARTING_S, _SETTLED_S = 60.0, 2.0
 _LIMITS = {"late_cycles": 10_000, "late_in_window": 1_000_000, "stall_s": 20}
 _TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -54,7 +54,6 @@ def _of_size(
     for _ in range(pairs):
         alone = _percent((supervisor,), period_s)[0]
         with _watch(daemon.rig_file, size) as watch:
-            time.sleep(_STARTING_S)
             shown, watched = _percent((watch.pid, supervisor), period_s)
         screen.append(shown)
         added.append(watched - alone)
@@ -79,25 +78,31 @@ def _ticks(pid: int) -> int:
 
 @contextmanager
 def _watch(rig_file: Path, size: tuple[int, int]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run `levid watch` in a pseudo-terminal of this size, whose output is read and dropped."""
+    """Run `levid watch` in a pseudo-terminal of this size, once it shows coils; drop its output."""
     ours, theirs = os.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
     command = [sys.executable, "-m", "levid.cli.main", "watch", "--rig", str(rig_file)]
     env = {**os.environ, "TERM": "xterm-256color", "LANG": "C.UTF-8"}
     process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=env)
     os.close(theirs)
-    threading.Thread(target=_drop, args=(ours,), daemon=True).start()
+    painted = threading.Event()
+    threading.Thread(target=_drop, args=(ours, painted), daemon=True).start()
     try:
+        if not painted.wait(_STARTING_S):
+            raise TimeoutError(f"levid watch painted nothing in {_STARTING_S:g} s")
+        time.sleep(_SETTLED_S)
         yield process
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
 
 
-def _drop(terminal: int) -> None:
+def _drop(terminal: int, painted: threading.Event) -> None:
+    """Read the output; set `painted` when coils are on the screen."""
     try:
-        while os.read(terminal, 65_536):
-            pass
+        while data := os.read(terminal, 65_536):
+            if b"coils" in data:
+                painted.set()
     except OSError:  # the last process closed it
         os.close(terminal)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from ..rig_socket import RIG, socket_of
+from ..rig_socket import RIG, socket_finder
 from ..status_text import fault_lines, watch_line
 
 _SCREEN_S, _LINES_S = 0.2, 0.5
@@ -43,17 +43,17 @@ def watch(rig_path: Path | None, lines: bool, as_json: bool, every_s: float | No
       levid watch --lines
       levid watch --every-s 5 --json >> flights.jsonl
     """
+    find_socket = socket_finder(rig_path)
     if lines or as_json or not _has_screen():
-        _print_lines(socket_of(rig_path), as_json, every_s or _LINES_S)
+        _print_lines(find_socket(), as_json, every_s or _LINES_S)
         return 0
     from .screen import WatchApp
 
-    socket_of(rig_path)  # a wrong RIG.yaml is an error now, not on the screen
     if not _has_colours():
         os.environ["NO_COLOR"] = "1"
     for name in ("COLUMNS", "LINES"):  # if a shell exports them, the terminal's size seems fixed
         os.environ.pop(name, None)
-    WatchApp(lambda: socket_of(rig_path), every_s or _SCREEN_S, not _has_unicode()).run()
+    WatchApp(find_socket, every_s or _SCREEN_S, not _has_unicode()).run()
     return 0
 
 

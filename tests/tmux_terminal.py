@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from waiting import wait_until
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 _POLL_S = 0.02
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import click
 
+from . import path_types
+
 RIG = click.option(
     "--rig",
     "rig_path",
-    type=click.Path(path_type=Path),
+    type=path_types.RIG,
     help="RIG.yaml that names the daemon's socket. Default: the default socket.",
 )
 

@@ -24,6 +24,7 @@ _NO_SCREEN = ("dumb", "unknown", "")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
 @click.option(
     "--every-s",
+    metavar="S",
     type=click.FloatRange(0.05, 3600),
     help=f"Seconds between two updates. Default: {_SCREEN_S} on the full screen, {_LINES_S} in "
     "lines.",

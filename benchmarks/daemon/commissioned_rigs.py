@@ -7,7 +7,7 @@ machine's processors with the host. Right is a rig whose every channel has its p
 (of a sensor within 2 %, of a coil within 5 % of the median), whose dead channels are named, and of
 which nothing else is said; the force of a coil must stay below the limit.
 
---quick: 6 rigs in process, 2 on each bus; otherwise 120 and 30.
+--quick: 6 rigs in process, 2 on each bus; otherwise 120 and 60, an hour.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def measure(quick: bool) -> Iterator[Figure]:
     """Commission all rigs; yield the shares that are right."""
     for kind, count in (
         ("loopback", 6 if quick else 120),
-        *((k, 2 if quick else 30) for k in ("can", "serial")),
+        *((k, 2 if quick else 60) for k in ("can", "serial")),
     ):
         right, alarms, good, longest_s = 0, 0, 0, 0.0
         for seed in range(FIRST_SEED, FIRST_SEED + count):

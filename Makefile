@@ -2,7 +2,7 @@
 # locked packages to .venv, and again if pyproject.toml or a lock file changes.
 
 PYTHON ?= python3
-PACKAGES := cli report daemon identification drivers sim log wire model config
+PACKAGES := cli api report daemon identification drivers sim log wire model config
 
 VENV := .venv
 BIN := $(VENV)/bin

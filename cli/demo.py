@@ -48,17 +48,17 @@ def command(out: Path | None) -> int:
     with progress("drawing the moving beam"):
         beam_page = session_report(moving_beam.logs, folder / "beam" / "report")
     # The report draws the true response for comparison; identification reads the logs only.
-    found, page = identify_logs(
+    found = identify_logs(
         [*white_noise.logs, *moving_beam.logs],
         None,
         shipped("sims/nominal.yaml"),
         folder / "identification",
     )
-    for line in words(found):
+    for line in words(found.results):
         click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
     click.echo(f"report on the moving beam: {beam_page}")
-    click.echo(f"report: {page}")
+    click.echo(f"report: {found.page}")
     _trace(folder / "trace")
     return 0
 
@@ -76,7 +76,7 @@ def _trace(folder: Path) -> None:
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
     if traced.undrawn is not None:
         raise traced.undrawn
-    click.echo(f"report: {traced.page}")
+    click.echo(f"report: {traced.found.page}")
 
 
 def _fly(name: str, out: Path, sim: Path | None = None) -> FlightResult:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import codecs
+import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from .output_folder_check import logs_in, quoted
+from .output_folder_check import logs_in, naming_out, quoted
 from .path_types import FOLDER, RIG, SESSION, SIM
 from .progress import progress, say
 
@@ -115,25 +116,13 @@ def fly_here(
         ConfigError: a file is wrong, or the rig cannot fly the session.
         FlightFault: the flight ended in a fault; its logs are in `out`.
     """
-    from ..config.rig import load_rig
-    from ..config.shipped import shipped
+    from ..api.flight import fly_session
     from ..daemon.control.faults import FlightFault
-    from ..daemon.loop.virtual_session import fly_virtually
 
-    rig_file = rig_path or shipped("rigs/loopback.yaml")
-    rig = load_rig(rig_file)
-    if sim_path is not None:
-        rig = rig.model_copy(update={"sim": str(sim_path.resolve())})
     with progress(f"flying {config.name}") as report:
         try:
-            return fly_virtually(
-                rig,
-                rig_file,
-                config,
-                session.read_bytes(),
-                out,
-                lambda step, done, total: report(step, done / total),
-                source=str(session),
+            return fly_session(
+                config, session.read_bytes(), str(session), rig_path, sim_path, out, report
             )
         except FlightFault:
             say(f"logs up to 0.5 s after the fault: {out}")
@@ -142,19 +131,11 @@ def fly_here(
 
 def refuse_used_folder(out: Path) -> None:
     """Raise ConfigError if `out` is not a folder or contains logs, which are never overwritten."""
-    from ..config.base import ConfigError
+    from ..api.output_folder import folder_without_logs
 
-    try:
-        if out.exists() and not out.is_dir():
-            raise ConfigError(f"--out {out}: expected a folder, found a file")
-        logs = sorted(out.glob("*.mcap")) if out.is_dir() else []
-    except PermissionError:  # a folder of the service: the daemon writes there and checks it
-        return
-    if logs:
-        raise ConfigError(
-            f"--out {out}: expected a folder without logs, found {len(logs)} "
-            f"({logs[0].name}, ...); logs are never overwritten: name another folder"
-        )
+    # A folder of the service: the daemon writes there and checks it.
+    with contextlib.suppress(PermissionError), naming_out():
+        folder_without_logs(out)
 
 
 def _text(path: Path) -> str:

@@ -6,25 +6,18 @@ import json
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from .model_file_errors import naming_the_file
-from .output_folder_check import claimed_folder, older_results
+from .output_folder_check import claimed_folder, naming_options, older_results
 from .path_types import FOLDER, LOG, MODEL, SIM
 from .progress import progress, say
 
 if TYPE_CHECKING:
-    from ..config.model import ModelConfig
-    from ..config.sim import SimConfig
-    from ..identification.options import Options
-    from ..identification.records.signal_names import SignalNames
+    from ..api.identification import Identification
     from ..identification.run_identification import Study
-    from ..log.reader import Log
-    from ..report.identification.closed_loop import Truth
 
 
 _REAL = 1.0 - 1e-9
@@ -92,27 +85,18 @@ def command(
       levid identify arm.mcap --out out/arm --json
       levid identify arm.mcap --order 6 --impulse-s 0.4 --out out/arm-6
     """
-    from ..identification.options import Options
-
     began = time.time()
-    options = Options(markov=markov, order=order, impulse_s=impulse_s)
-    found, page = identify_logs(logs, model, truth, out, options)
+    found = identify_logs(logs, model, truth, out, order, impulse_s, markov)
     if mat:
-        _write_mat(found, out)
+        found.write_mat(out)
     for old in older_results(out, _RESULTS, began):
         say(f"warning: {old} is from an earlier run; this run has no such result")
-    for remark in _contradictions(found):
-        if remark not in found.before:
-            say(f"warning: {remark}")
     if as_json:
-        from ..identification.results_to_json import study_summary
-
-        plain = {**_named(_signals(found)), **study_summary(found), "report": str(page)}
-        click.echo(json.dumps(plain))
+        click.echo(json.dumps(found.to_json()))
         return 0
-    for line in words(found):
+    for line in words(found.results):
         click.echo(line)
-    click.echo(f"report: {page}")
+    click.echo(f"report: {found.page}")
     return 0
 
 
@@ -121,71 +105,36 @@ def identify_logs(
     model: Path | None,
     truth: Path | None,
     out: Path,
-    options: Options | None = None,
-) -> tuple[Study, Path]:
+    order: int | None = None,
+    impulse_s: float | None = None,
+    markov: str = "least_squares",
+) -> Identification:
     """Identify the plant from logs and write the report and model.yaml to `out`.
 
     Remarks that are known before the fits are printed on stderr at once.
-
-    Returns:
-        Results and path of the report.
 
     Raises:
         ConfigError: `out` cannot be written, or a model or simulator file is wrong.
         IdentificationError: the logs cannot be identified.
     """
-    from ..config.base import load_yaml
-    from ..config.model import load_model
-    from ..config.sim import SimConfig
-    from ..identification.greybox.identify_greybox import to_yaml
+    from ..api.identification import REPORT_FILES, REPORT_FOLDERS, identify
+    from ..api.session import Session
     from ..identification.options import Options
-    from ..identification.records.from_log import rig_model
-    from ..identification.records.record import IdentificationError
-    from ..identification.run_identification import study
-    from ..report.identification.identification_page import identification_report
-    from ..report.plotting.atomic_write import replace_text
-    from ..report.session.flight_data import read_session
 
-    # Check everything that needs no log before the long work.
-    declared = None if model is None else load_model(model)
-    simulator = None if truth is None else load_yaml(truth, SimConfig)
-    flown = False
-
-    def model_of(log: Log) -> ModelConfig | None:
-        nonlocal flown
-        flown = "rig.yaml" in log.attachments
-        if truth is not None and not flown:
-            raise IdentificationError(f"--truth: expected logs of the rig, found {log.path}")
-        return declared or rig_model(log)
-
-    claim = claimed_folder(out, ("model.yaml", "index.html"), ("figures",))
-    with claim, progress("identifying") as report:
-        chosen = options or Options()
-        with naming_the_file(model):
-            found = study(
-                logs,
-                model_of,
-                chosen,
-                lambda what, share: report(what, 0.85 * share),
-                lambda remark: say(f"warning: {remark}"),
-            )
-        # Save the model first: the results of a long fit survive an error in the report.
-        if found.grey is not None:
-            replace_text(out / "model.yaml", to_yaml(found.grey.fitted))
-        report("report", 0.85)
-        # Plant time is continuous within a session only: the page shows the first log's session.
-        session = [path for path in logs if path.parent == logs[0].parent]
-        page = identification_report(
-            found.points,
-            read_session(session) if flown else None,
-            out,
-            _truth(simulator, found),
-            found.grey,
-            found.multisine,
-            found.notes,
+    options = Options(markov=markov, order=order, impulse_s=impulse_s)
+    claim = claimed_folder(out, REPORT_FILES, REPORT_FOLDERS)
+    with naming_options(), claim, progress("identifying") as report:
+        found = identify(
+            Session(logs),
+            model,
+            options,
+            truth,
+            lambda what, share: report(what, 0.85 * share),
+            lambda remark: say(f"warning: {remark}"),
         )
-    notes = tuple(dict.fromkeys((*found.notes, *_contradictions(found))))
-    return replace(found, notes=notes), page
+        report("report", 0.85)
+        found.report(out)
+    return found
 
 
 def words(found: Study) -> list[str]:
@@ -318,53 +267,5 @@ def _where(beam_m: float | None) -> str:
     return "all records" if beam_m is None else f"beam at {1e3 * beam_m:+.1f} mm"
 
 
-def _write_mat(found: Study, out: Path) -> None:
-    """Write a .mat file for each kind of result; the first is named identified.mat."""
-    from ..identification.export import write_fitted_mat, write_mat, write_multisine_mat
-
-    first = out / "identified.mat"
-    if found.points is not None:
-        write_mat(first, found.points)
-        if found.multisine:
-            write_multisine_mat(out / "multisine.mat", found.multisine)
-    elif found.multisine:
-        write_multisine_mat(first, found.multisine)
-    elif found.grey is not None:
-        write_fitted_mat(first, found.grey)
-
-
 def _contradictions(found: Study) -> tuple[str, ...]:
     return () if found.grey is None else found.grey.remarks
-
-
-def _signals(found: Study) -> SignalNames:
-    """Return sampling time, names and units of the identified inputs and outputs."""
-    from ..identification.export import fitted_signals
-
-    if found.points is not None:
-        return found.points.signals
-    if found.multisine:
-        return found.multisine[0].signals
-    assert found.grey is not None  # a study that found nothing is an error
-    return fitted_signals(found.grey)
-
-
-def _named(signals: SignalNames) -> dict[str, Any]:
-    return {
-        "Ts_s": signals.Ts_s,
-        "inputs": _pairs(signals.input_names, signals.input_units),
-        "outputs": _pairs(signals.output_names, signals.output_units),
-    }
-
-
-def _pairs(names: Sequence[str], units: Sequence[str]) -> list[dict[str, str]]:
-    return [{"name": name, "unit": unit} for name, unit in zip(names, units, strict=True)]
-
-
-def _truth(config: SimConfig | None, found: Study) -> Truth | None:
-    from ..sim.true_response import frequency_response
-
-    if config is None:
-        return None
-    rate_hz = 1.0 / _signals(found).Ts_s
-    return lambda beam_m, freq_hz: frequency_response(config, beam_m or 0.0, freq_hz, rate_hz)

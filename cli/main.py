@@ -9,7 +9,7 @@ import sys
 
 import click
 
-from .. import __version__
+from ..config.version import __version__
 from .command_group import LazyGroup
 
 # verb: module and attribute, summary for `levid --help` (shown without loading the module)

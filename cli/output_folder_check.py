@@ -1,10 +1,8 @@
-"""Check and claim output folders before long work, and quote paths for printed shell commands."""
+"""Name --out in errors of output folders, and quote paths for printed shell commands."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -17,68 +15,51 @@ _FILE_TIME_RESOLUTION_S = 0.05
 def claimed_folder(
     out: Path, files: Iterable[str] = (), folders: Iterable[str] = ()
 ) -> Iterator[None]:
-    """Create `out` and keep other levid commands from writing into it meanwhile.
-
-    The lock is that of the folder itself, so nothing is left of it, and it ends with the process. A
-    folder that this creates and that stays empty is removed.
+    """Claim the folder of --out while the `with` body runs; see api.output_folder.
 
     Raises:
-        ConfigError: the folder, or one of these files and folders in it, cannot be written, or
-            another command writes into it.
+        ConfigError: it cannot be written, or another command writes into it.
     """
-    from ..config.base import ConfigError
+    from ..api import output_folder
 
-    writable_folder(out, files, folders)
-    created = [p for p in (out, *out.parents) if not p.exists()]
-    out.mkdir(parents=True, exist_ok=True)
-    handle = os.open(out, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(
-                f"--out {out}: another levid command is writing into this folder: wait for it, or "
-                "give another folder"
-            ) from None
-        except OSError:
-            pass  # a file system without locks, as some network shares are
+    with naming_out(), output_folder.claimed_folder(out, files, folders):
         yield
-    finally:
-        os.close(handle)
-        with contextlib.suppress(OSError):  # not empty: the results are in it
-            for folder in created:
-                folder.rmdir()
 
 
 def writable_folder(out: Path, files: Iterable[str] = (), folders: Iterable[str] = ()) -> None:
-    """Check that `out`, and these files and folders in it, can be created and written.
-
-    Call it before long work. It creates nothing.
+    """Check that the folder of --out, and these files and folders in it, can be written.
 
     Raises:
         ConfigError: one of them cannot.
     """
+    from ..api import output_folder
+
+    with naming_out():
+        output_folder.writable_folder(out, files, folders)
+
+
+@contextlib.contextmanager
+def naming_out() -> Iterator[None]:
+    """Name --out in errors of the output folder."""
+    from ..api.output_folder import OutputFolderError
     from ..config.base import ConfigError
 
-    if out.is_symlink() and not out.exists():
-        raise ConfigError(f"--out {out}: expected a folder, found a link to a missing path")
-    existing = out.absolute()
-    while not existing.exists():
-        existing = existing.parent
-    if not existing.is_dir():
-        found = "a file" if existing == out.absolute() else f"the file {existing}"
-        raise ConfigError(f"--out {out}: expected a folder, found {found}")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise ConfigError(
-            f"--out {out}: expected a writable folder, but {existing} may not be written to"
-        )
-    for name in files:
-        if (out / name).is_dir():
-            raise ConfigError(f"--out {out}: expected to write {name}, found a folder of that name")
-    for name in folders:
-        inner = out / name
-        if inner.exists() and not (inner.is_dir() and os.access(inner, os.W_OK | os.X_OK)):
-            raise ConfigError(f"--out {out}: expected {name} to be a writable folder")
+    try:
+        yield
+    except OutputFolderError as error:
+        raise ConfigError(f"--out {error}") from None
+
+
+@contextlib.contextmanager
+def naming_options() -> Iterator[None]:
+    """Name the option in errors of an argument."""
+    from ..api.model import ArgumentError
+    from ..identification.records.record import IdentificationError
+
+    try:
+        yield
+    except ArgumentError as error:
+        raise IdentificationError(error.of_option) from None
 
 
 def older_results(out: Path, names: Iterable[str], began_s: float) -> list[Path]:

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from .model_file_errors import naming_the_file
-from .output_folder_check import claimed_folder, quoted, same_logs
+from ..api.value_with_interval import value_with_interval
+from .output_folder_check import claimed_folder, naming_options, quoted, same_logs
 from .path_types import FOLDER, LOG, MODEL
 from .progress import progress, say
-from .value_with_interval import value_with_interval
 
 if TYPE_CHECKING:
-    from ..config.model import ModelConfig
+    from ..api.trace import Trace
     from ..identification.trace.found_effects_summary import FoundEffect, Outcome
-    from ..identification.trace.run_trace import Trace
-    from ..identification.trace.worker_pool import Workers
+    from ..identification.trace.run_trace import Trace as RigTrace
 
 
 @click.command("trace")
@@ -71,38 +69,38 @@ def command(
     """
     if workers is not None and dask is not None:
         raise click.UsageError("expected --workers or --dask, found both")
-    from ..identification.trace.found_effects_summary import outcome, summary
-    from .trace_imported import is_imported, print_imported
-
-    if is_imported(logs, model):
-        return print_imported(logs, model, out, as_json)
+    if dask is not None and find_spec("distributed") is None:
+        raise click.UsageError("--dask needs the package distributed: pip install 'levid[cluster]'")
+    if dask is not None:
+        say(f"tracing on the cluster at {dask}")
     traced = trace_logs(logs, model, out, workers, dask)
-    found, page = traced.found, traced.page
+    found = traced.found
     if as_json:
-        paths = {"model": traced.model, "report": page}
-        written = {name: None if path is None else str(path) for name, path in paths.items()}
-        click.echo(json.dumps({**summary(found), **written, "notes": list(found.notes)}))
+        click.echo(json.dumps(found.to_json()))
     else:
-        for line in words(found):
-            click.echo(line)
-        if traced.model is not None:
-            click.echo(f"model: {traced.model}")
-        if page is not None:
-            click.echo(f"next: {_next(outcome(found), logs, out)}")
-            click.echo(f"report: {page}")
+        _print(found, logs, out)
     if traced.undrawn is not None:
         say("the report could not be written:")
         raise traced.undrawn
     return 0
 
 
+def _print(found: Trace, logs: Sequence[Path], out: Path) -> None:
+    for line in words(found):
+        click.echo(line)
+    if found.model_file is not None:
+        click.echo(f"model: {found.model_file}")
+    if found.page is not None or _is_imported(found):
+        click.echo(f"next: {_next(found, logs, out)}")
+    if found.page is not None:
+        click.echo(f"report: {found.page}")
+
+
 @dataclass(frozen=True)
 class Traced:
-    """Result of a trace, paths of model.yaml and the report, and the error if one is missing."""
+    """Result of a trace, and the error if model.yaml or the report could not be written."""
 
     found: Trace
-    model: Path | None = None
-    page: Path | None = None
     undrawn: Exception | None = None
 
 
@@ -121,37 +119,37 @@ def trace_logs(
         ConfigError: `out` cannot be written, or the model file is wrong.
         IdentificationError: the logs cannot be traced.
     """
-    from ..identification.greybox.identify_greybox import to_yaml
-    from ..identification.trace.figure_data import views
-    from ..identification.trace.found_effects_summary import model_after
-    from ..identification.trace.run_trace import trace
-    from ..model.effects.candidate_effects import all_effects
-    from ..report.plotting.atomic_write import replace_text
-    from ..report.trace.trace_page import trace_report
+    from ..api.session import Session
+    from ..api.trace import REPORT_FILES, REPORT_FOLDERS, trace
 
-    config = _model(model, logs)
-    claim = claimed_folder(out, ("model.yaml", "index.html"), ("figures",))
-    with claim, progress("tracing") as report, _workers(config, workers, dask) as spread:
-        with naming_the_file(model):
-            found = trace(
-                logs, config, all_effects, spread, lambda what, share: report(what, 0.9 * share)
-            )
-        # Save the model first: the results of a long search survive an error in the report.
-        written = None
+    claim = claimed_folder(out, REPORT_FILES, REPORT_FOLDERS)
+    with naming_options(), claim, progress("tracing") as report:
+        found = trace(
+            Session(logs),
+            model,
+            workers,
+            dask,
+            lambda what, share: report(what, 0.9 * share),
+            say,
+        )
+        report("report", 0.95)
         try:
-            replace_text(out / "model.yaml", to_yaml(model_after(found)))
-            written = out / "model.yaml"
-            report("residual", 0.92)
-            residual_views = views(found, spread)
-            report("report", 0.97)
-            page = trace_report(found, residual_views, out)
+            found.report(out)
         except Exception as error:  # noqa: BLE001 - raised after the results are printed
-            return Traced(found, written, None, error)
-    return Traced(found, written, page)
+            return Traced(found, error)
+    return Traced(found)
 
 
 def words(found: Trace) -> list[str]:
     """Return the results as lines of text; +- is a 95 % interval."""
+    from ..identification.trace.run_trace import Trace as RigTrace
+    from .trace_imported import words_of
+
+    results = found.results
+    return _words(results) if isinstance(results, RigTrace) else words_of(results)
+
+
+def _words(found: RigTrace) -> list[str]:
     from ..identification.records.record import OTHER_STEP
     from ..identification.trace.found_effects_summary import NO_STILL, PERHAPS_A_PART, outcome
     from ..identification.trace.residual.free_run_error import percent_of_pose
@@ -234,8 +232,29 @@ def _values(found: FoundEffect) -> str:
     )
 
 
-def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
+def _next(found: Trace, logs: Sequence[Path], out: Path) -> str:
     """Return the recommended next command or experiment."""
+    from ..identification.trace.found_effects_summary import outcome
+    from ..identification.trace.run_trace import Trace as RigTrace
+
+    results = found.results
+    if isinstance(results, RigTrace):
+        return _next_of_rig(outcome(results), logs, out)
+    return _identify_with(logs, out)
+
+
+def _is_imported(found: Trace) -> bool:
+    from ..identification.trace.run_trace import Trace as RigTrace
+
+    return not isinstance(found.results, RigTrace)
+
+
+def _identify_with(logs: Sequence[Path], out: Path) -> str:
+    model, where = out / "model.yaml", out / "identification"
+    return f"levid identify {same_logs(logs)} --model {quoted(model)} --out {quoted(where)}"
+
+
+def _next_of_rig(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     from ..identification.trace.found_effects_summary import telling
 
     rivals = [f for f in result.effects if f.evidence is not None and f.evidence.alternatives]
@@ -247,42 +266,7 @@ def _next(result: Outcome, logs: Sequence[Path], out: Path) -> str:
     if result.significant:
         return f"see the report ({out / 'index.html'}) for the signals that the residual depends on"
     if result.effects:
-        model, where = out / "model.yaml", out / "identification"
-        return f"levid identify {same_logs(logs)} --model {quoted(model)} --out {quoted(where)}"
+        return _identify_with(logs, out)
     if result.overrated:
         return "record or import data at a higher rate: the noise cannot be determined at this one"
     return "no further step: these records show no error above the noise"
-
-
-def _model(path: Path | None, logs: Sequence[Path]) -> ModelConfig:
-    """Return the model in `path`; default: the model of the rig that flew the first log."""
-    from ..config.model import load_model
-    from ..identification.records.from_log import rig_model
-    from ..identification.records.record import IdentificationError
-    from ..log.reader import read_log
-
-    if path is not None:
-        return load_model(path)
-    model = rig_model(read_log(logs[0]))
-    if model is None:
-        raise IdentificationError(
-            f"expected --model MODEL.yaml for {logs[0]}, which is not a log of the rig; found none"
-        )
-    return model
-
-
-def _workers(
-    config: ModelConfig, processes: int | None, dask: str | None
-) -> AbstractContextManager[Workers]:
-    from ..identification.trace.worker_pool import cluster_workers, local_workers
-
-    if dask is None:
-        return local_workers(config, processes, say)
-    try:
-        import distributed  # noqa: F401
-    except ImportError:
-        raise click.UsageError(
-            "--dask needs the package distributed: pip install 'levid[cluster]'"
-        ) from None
-    say(f"tracing on the cluster at {dask}")
-    return cluster_workers(config, dask, say)

@@ -33,7 +33,7 @@ from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from .. import __version__
+from ..config.version import __version__
 from .errors import LogError, reason
 from .mcap_scan import HEAD
 from .message_array import MessageLayout

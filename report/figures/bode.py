@@ -47,10 +47,7 @@ def bode_magnitude(
         grid = new_grid(signals.shape, sheet, _ROW_IN, legend_of(curves, truth, shown))
         limits = _limits([*curves, *truth], signals.shape)
         for (i, j), ax in grid.panels():
-            frequency_axis(ax, (shown.low_hz, shown.high_hz))
-            log_ticks(ax, "y", limits[i][j])
-            ax.set_title(signals.path(i, j))
-            ax.set_title(signals.gain_unit(i, j), loc="right", fontweight="normal")
+            _magnitude_panel(ax, shown, signals, (i, j), limits[i][j])
             for curve in truth:
                 _draw_magnitude(ax, curve, i, j)
             for curve in curves:
@@ -77,16 +74,61 @@ def bode_phase(
     with drawing(sheet):
         grid = new_grid(signals.shape, sheet, _ROW_IN, legend_of(curves, truth, shown))
         for (i, j), ax in grid.panels():
-            frequency_axis(ax, (shown.low_hz, shown.high_hz))
-            ax.set_ylim(-300, 60)
-            ax.set_yticks([-270, -180, -90, 0], ["−270°", "−180°", "−90°", "0°"])
-            ax.set_title(signals.path(i, j))
+            _phase_panel(ax, shown, signals.path(i, j))
             for curve in truth:
                 _draw_phase(ax, curve, i, j)
             for curve in curves:
                 _draw_phase(ax, curve, i, j)
         grid.finish_frequency(shown, curves)
     return grid.figure
+
+
+def bode(
+    curves: Sequence[Curve],
+    signals: SignalLabels,
+    *,
+    truth: Sequence[Curve] = (),
+    shown: Range = RIG,
+    sheet: Sheet = PAGE,
+) -> Figure:
+    """Draw magnitude above phase for each input and output, as bode_magnitude and bode_phase do."""
+    curves = [inside(c, shown) for c in curves]
+    truth = [inside(c, shown) for c in truth]
+    m, p = signals.shape
+    rows_in = [_ROW_IN, 0.8 * _ROW_IN] * m
+    with drawing(sheet):
+        grid = new_grid((2 * m, p), sheet, rows_in, legend_of(curves, truth, shown))
+        limits = _limits([*curves, *truth], signals.shape)
+        for (row, j), ax in grid.panels():
+            i, is_phase = divmod(row, 2)
+            if is_phase:
+                _phase_panel(ax, shown, "")
+            else:
+                _magnitude_panel(ax, shown, signals, (i, j), limits[i][j])
+            for curve in (*truth, *curves):
+                (_draw_phase if is_phase else _draw_magnitude)(ax, curve, i, j)
+        grid.finish_frequency(shown, curves)
+    return grid.figure
+
+
+def _magnitude_panel(
+    ax: Axes,
+    shown: Range,
+    signals: SignalLabels,
+    path: tuple[int, int],
+    limits: tuple[float, float],
+) -> None:
+    frequency_axis(ax, (shown.low_hz, shown.high_hz))
+    log_ticks(ax, "y", limits)
+    ax.set_title(signals.path(*path))
+    ax.set_title(signals.gain_unit(*path), loc="right", fontweight="normal")
+
+
+def _phase_panel(ax: Axes, shown: Range, title: str) -> None:
+    frequency_axis(ax, (shown.low_hz, shown.high_hz))
+    ax.set_ylim(-300, 60)
+    ax.set_yticks([-270, -180, -90, 0], ["−270°", "−180°", "−90°", "0°"])
+    ax.set_title(title)
 
 
 def _draw_magnitude(ax: Axes, curve: Curve, i: int, j: int) -> None:

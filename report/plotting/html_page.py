@@ -12,7 +12,7 @@ from typing import Literal
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from ... import __version__
+from ...config.version import __version__
 from .atomic_write import replace_text
 from .figure_to_svg import Picture
 from .style import COLOURS

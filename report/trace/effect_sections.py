@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...config.model import EffectParameter
@@ -81,6 +82,12 @@ def sizes(found: FoundEffect, views: Views) -> tuple[str, str, float, float] | N
     rms = max(float(np.sqrt(np.mean(a.fitted**2))) for _, a in part.records)
     most = max(float(np.max(np.abs(a.fitted))) for _, a in part.records)
     return _on(place_text(part.place, views.dof)), part.unit, rms, most
+
+
+def effect_figure(found: FoundEffect, views: Views) -> Figure | None:
+    """Draw an effect, measured and fitted; None if no record shows it."""
+    shapes = [_shape(part, views.dof) for part in _aspects(found, views)]
+    return effect_shapes(shapes) if shapes else None
 
 
 @dataclass(frozen=True)

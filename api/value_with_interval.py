@@ -1,14 +1,14 @@
-"""Print a value with its 95 % interval, both to the second digit of the interval."""
+"""Write a value with its 95 % interval, both to the second digit of the interval."""
 
 from __future__ import annotations
 
 import math
 
 _PLAIN = range(-3, 6)
-"""Powers of ten of numbers that are printed without one."""
+"""Powers of ten of numbers that are written without one."""
 
 
-def value_with_interval(value: float, se: float | None) -> str:
+def value_with_interval(value: float, se: float | None, plus_minus: str = "+-") -> str:
     """Return a value such as 3.0 +- 0.12 or (3.002 +- 0.032)e8; without an error, five digits."""
     from ..identification.subspace.response_uncertainty import SURE_95
 
@@ -20,5 +20,5 @@ def value_with_interval(value: float, se: float | None) -> str:
     value, half = value / 10.0**shift, half / 10.0**shift
     digits = 1 - math.floor(math.log10(half))
     shown = (f"{round(v, digits):.{max(digits, 0)}f}" for v in (value, half))
-    pair = " +- ".join(shown)
+    pair = f" {plus_minus} ".join(shown)
     return pair if shift == 0 else f"({pair})e{shift}"

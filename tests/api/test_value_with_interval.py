@@ -2,7 +2,7 @@
 
 import pytest
 
-from levid.cli.value_with_interval import value_with_interval
+from levid.api.value_with_interval import value_with_interval
 from levid.identification.subspace.response_uncertainty import SURE_95
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..log.errors import LogError
+from ..log.importing.importer import DATA_SUFFIXES
 from .record import Record, record_table
 from .signal_table import SignalTable
 
@@ -41,23 +42,38 @@ class RigInfo:
 
 
 def load(
-    path_or_paths: str | Path | Iterable[str | Path], model: ModelSource | None = None
+    path_or_paths: str | Path | Iterable[str | Path],
+    model: ModelSource | None = None,
+    *,
+    signals: str | Path | None = None,
 ) -> Session:
-    """Load a log, a folder of logs, or a list of logs and folders.
+    """Load a log, a folder of logs, or a list of logs and folders; or data files with `signals`.
 
-    `model` is the default of `Session.identify` and `Session.trace`: a MODEL.yaml, or a result.
     Names, units and lengths are read at once, rows when they are first needed.
 
+    Args:
+        path_or_paths: logs (.mcap), or folders of logs; with `signals` files of measured data (CSV,
+            text, NPZ, MAT), which are imported into a temporary folder.
+        model: default of `Session.identify` and `Session.trace`: a MODEL.yaml, or a result.
+        signals: SIGNALS.yaml that describes the columns of data files.
+
     Raises:
-        LogError: no such file, no logs in a folder, or a file that is not a log.
+        LogError: no such file, no logs in a folder, a file that is not a log, or data that do not
+            fit `signals`.
+        ConfigError: `signals` is not valid.
     """
     if isinstance(path_or_paths, str | Path):
-        paths = _logs_of(Path(path_or_paths))
-    else:
-        paths = [log for path in path_or_paths for log in _logs_of(Path(path))]
-    if not paths:
+        path_or_paths = [path_or_paths]
+    given = [Path(path) for path in path_or_paths]
+    if not given:
         raise LogError("expected at least one log, found an empty list")
-    session = Session(paths, model)
+    if signals is not None:
+        from .data_import import imported_logs
+
+        logs, keep = imported_logs(given, Path(signals))
+        session = Session(logs, model, keep)
+    else:
+        session = Session([log for path in given for log in _logs_of(path)], model)
     _ = session.steps  # reports a bad file here
     return session
 
@@ -341,6 +357,11 @@ def _with_path(record: Record) -> str:
 
 def _logs_of(path: Path) -> list[Path]:
     if not path.is_dir():
+        if path.suffix.lower() in DATA_SUFFIXES and path.is_file():
+            raise LogError(
+                f"{path}: expected signals=SIGNALS.yaml for a data file, which describes its "
+                f"columns; `levid new signals {path} -o SIGNALS.yaml` writes a draft"
+            )
         return [path]  # Record reports what is wrong with it
     logs = sorted(path.glob("*.mcap"))
     if logs:

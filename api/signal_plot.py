@@ -7,12 +7,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.figure import Figure
 
-from ..report.plotting.labelled_frequency_responses import symbol
 from ..report.plotting.min_max_envelope import envelope, plot_envelope
 from ..report.plotting.panel_grid import entry, new_grid
-from ..report.plotting.style import PAGE, drawing, line_of
+from ..report.plotting.style import PAGE, drawing, engineering, line_of
 from .notebook_figure import shown
 
 if TYPE_CHECKING:
@@ -52,14 +52,15 @@ def signal_plot(records: Sequence[Record], columns: Iterable[str] | None) -> Fig
     with drawing(PAGE):
         grid = new_grid((len(signals), 1), PAGE, _PANEL_IN, legend)
         for signal, ax in zip(signals, grid.axes[:, 0], strict=True):
+            factor, prefix = engineering(_largest(records, signal), signal.unit)
             for number, record in enumerate(records):
                 for k, column in enumerate(signal.columns):
                     line = line_of(number if by_record else k)
-                    plot_envelope(ax, envelope(record.time_s, record[column], _BINS), line)
-            ax.set_title(symbol(signal.name))
-            ax.set_title(
-                "" if signal.unit == "1" else signal.unit, loc="right", fontweight="normal"
-            )
+                    drawn = envelope(record.time_s, record[column], _BINS)
+                    plot_envelope(ax, drawn, line, factor)
+            ax.set_title(signal.name)
+            unit = "" if signal.unit == "1" else prefix + signal.unit
+            ax.set_title(unit, loc="right", fontweight="normal")
             ax.margins(x=0)
             ax.tick_params(labelbottom=signal is signals[-1], length=2.5)
         grid.axes[-1, 0].set_xlabel("time [s]")
@@ -72,6 +73,11 @@ def _drawn(record: Record, columns: Iterable[str] | None) -> list[SignalInfo]:
     table: SignalTable = record.signals
     chosen = [s for role in _ROLES for s in table.with_role(role)]
     return chosen or [s for s in table if s.name not in ("cycle", "time_s")]
+
+
+def _largest(records: Sequence[Record], signal: SignalInfo) -> float:
+    values = [np.abs(r[c].astype(float)) for r in records for c in signal.columns]
+    return max(float(np.nanmax(v[np.isfinite(v)], initial=0.0)) for v in values)
 
 
 def _overlap(records: Sequence[Record]) -> bool:

@@ -144,8 +144,9 @@ class Validation:
 
     def __str__(self) -> str:
         floor = "" if self.noise_floor is None else f", noise floor {self.noise_floor:.3g}"
-        unit = " % of the force" if self.metric == "force" else " times the noise"
-        return f"error {self.before:.3g}{unit} before, {self.after:.3g} after{floor}"
+        if self.metric == "force":
+            return f"missing force {self.before:.3g} % before, {self.after:.3g} % after"
+        return f"error over noise {self.before:.3g} before, {self.after:.3g} after{floor}"
 
 
 class Trace(ABC):
@@ -201,7 +202,7 @@ class Trace(ABC):
             return None
         floor = v.noise_floor or 0.0
         there = v.before**2 - floor**2
-        return None if there <= 0.0 else 1.0 - (v.after**2 - floor**2) / there
+        return None if there <= 0.0 else min(1.0 - (v.after**2 - floor**2) / there, 1.0)
 
     @property
     def verdict(self) -> str:

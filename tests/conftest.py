@@ -29,6 +29,7 @@ settings.load_profile("levid")
 _TESTS = Path(__file__).parent
 _WATCH = pytest.StashKey[Watch]()
 _COMPUTE = (
+    "api",
     *("cli", "compatibility", "config", "docs", "identification", "log", "model", "packaging"),
     *("report", "sim", "wire", "daemon/control", "daemon/ipc", "daemon/service/test_service_files"),
     *("daemon/loop/test_flight_ends", "daemon/loop/test_virtual_flight"),
@@ -56,10 +57,12 @@ _WAIT = (
 )
 """Tests among them that wait for clocks or processes."""
 _LONG = (
+    "api/test_own_script",
     "benchmarks/test_killed_processes",
     "daemon/supervision/test_coil_check_at_lift_off",
     "daemon/test_flights_on_a_bus",
     "daemon/test_processes_killed",
+    "docs/test_notebooks",
     "identification/trace/force_regression/test_drawn_plants",
     "identification/trace/force_regression/test_erring_sensors",
     "identification/trace/force_regression/test_loops_under_random_forces",

@@ -12,6 +12,7 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -21,6 +22,7 @@ from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import ModuleType
 from typing import Generic, Protocol, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -176,6 +178,9 @@ def local_workers(
     others = set(multiprocessing.active_children())
     with RecordAffinityPool(count, context, _begin, _length) as pool:
         try:
+            with _without_main_module():
+                for started in [pool.submit(_start) for _ in range(count)]:
+                    started.result()
             yield Spread(config, pool, "a worker", report)
         except BaseException:
             # Otherwise the pool would first finish all submitted tasks.
@@ -183,6 +188,25 @@ def local_workers(
             for worker in set(multiprocessing.active_children()) - others:
                 worker.terminate()
             raise
+
+
+@contextmanager
+def _without_main_module() -> Iterator[None]:
+    """Start processes in the `with` body that do not run the user's script again.
+
+    multiprocessing imports the main module in each of them: a script without the check of
+    `__name__` would fly and trace once more in every worker. The tasks need nothing of it.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+def _start() -> None:
+    """Do nothing: the task that starts a worker."""
 
 
 def _length(argument: object) -> tuple[RecordSource, int] | None:

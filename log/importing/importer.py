@@ -42,6 +42,8 @@ _FORMATS: dict[str, Format] = {
     ".npy": "npz",
     ".mat": "mat",
 }
+DATA_SUFFIXES = frozenset(_FORMATS)
+"""Suffixes of data files whose format is known."""
 
 
 @dataclass(frozen=True)

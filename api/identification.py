@@ -28,7 +28,7 @@ from .model import (
 )
 from .model_file_errors import naming_the_file
 from .output_folder import claimed_folder
-from .plant import Mode, Modes, Plant, plant_of
+from .plant import Mode, Modes, Plant, beam_text, plant_of
 
 if TYPE_CHECKING:
     import control
@@ -339,7 +339,7 @@ class Identification:
         s = self.signals
         parts = [f"{', '.join(s.input_names)} to {', '.join(s.output_names)}"]
         for point in self._points:
-            at = "" if point.beam_m is None else f", beam at {1e3 * point.beam_m:+.1f} mm"
+            at = "" if point.beam_m is None else f", beam at {beam_text(point.beam_m)}"
             parts.append(f"{self._recommended(point)} of order {_order(point)}{at}")
         if self._found.multisine:
             parts.append("multisine response")

@@ -51,7 +51,7 @@ class Modes(tuple[Mode, ...]):
     def _table(self) -> Table:
         rows = [
             (
-                "" if m.beam_m is None else f"{1e3 * m.beam_m:+.1f} mm",
+                "" if m.beam_m is None else beam_text(m.beam_m),
                 f"{value_with_interval(m.frequency.value, m.frequency.se, '±')} Hz",
                 value_with_interval(m.damping.value, m.damping.se, "±"),
             )
@@ -134,11 +134,17 @@ class Plant:
 
     def __repr__(self) -> str:
         time = f"Ts = {self.Ts_s:g} s" if self.Ts_s else f"continuous, delay {self.delay_s:g} s"
-        at = "" if self.beam_m is None else f", beam at {1e3 * self.beam_m:+.1f} mm"
+        at = "" if self.beam_m is None else f", beam at {beam_text(self.beam_m)}"
         return (
             f"<Plant by {self.method}: {len(self.A)} states, {', '.join(self.inputs)} -> "
             f"{', '.join(self.outputs)}, {time}{at}>"
         )
+
+
+def beam_text(beam_m: float) -> str:
+    """Return a beam position in mm with its sign, and none at zero."""
+    text = f"{1e3 * beam_m:+.1f}"
+    return f"{text[1:] if float(text) == 0.0 else text} mm"
 
 
 def plant_of(

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..log.errors import LogError
-from ..log.importing.importer import DATA_SUFFIXES
 from .record import Record, record_table
 from .signal_table import SignalTable
 
@@ -172,9 +171,11 @@ class Session:
         Raises:
             LogError: the records have different rates; each record has its own.
         """
-        rates = {r.rate_hz: r for r in self.records}
+        rates: dict[float, str] = {}
+        for record in self.records:
+            rates.setdefault(record.rate_hz, record.name)
         if len(rates) > 1:
-            found = ", ".join(f"{rate:.6g} Hz in {r.name}" for rate, r in rates.items())
+            found = ", ".join(f"{rate:.6g} Hz in {name}" for rate, name in rates.items())
             raise LogError(f"expected records of one rate, found {found}; use record.rate_hz")
         return self.records[0].rate_hz
 
@@ -347,6 +348,12 @@ class Session:
         return Session, (self.logs, self.model)
 
 
+def _is_data(path: Path) -> bool:
+    from ..log.importing.importer import DATA_SUFFIXES
+
+    return path.suffix.lower() in DATA_SUFFIXES
+
+
 def _with_folder(record: Record) -> str:
     return f"{record.path.parent.name}/{record.name}"
 
@@ -357,7 +364,7 @@ def _with_path(record: Record) -> str:
 
 def _logs_of(path: Path) -> list[Path]:
     if not path.is_dir():
-        if path.suffix.lower() in DATA_SUFFIXES and path.is_file():
+        if path.suffix != ".mcap" and path.is_file() and _is_data(path):
             raise LogError(
                 f"{path}: expected signals=SIGNALS.yaml for a data file, which describes its "
                 f"columns; `levid new signals {path} -o SIGNALS.yaml` writes a draft"

@@ -58,6 +58,7 @@ _WAIT = (
 """Tests among them that wait for clocks or processes."""
 _LONG = (
     "api/test_own_script",
+    "api/test_types_of_public_names",
     "benchmarks/test_killed_processes",
     "daemon/supervision/test_coil_check_at_lift_off",
     "daemon/test_flights_on_a_bus",

@@ -18,7 +18,7 @@ import json
 import levid
 
 open("starts.txt", "a").write("started\\n")
-record = {"excite": ["psi", "theta", "z"], "each_s": 4, "settle_s": 1}
+record = {"excite": ["psi", "theta", "z"], "each_s": 5, "settle_s": 1}
 session = {
     "levid": "session", "name": "pad", "seed": 5,
     "excitations": {

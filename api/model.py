@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -146,8 +147,8 @@ class Model:
         return "\n".join([*lines, *(f"  effect: {effect}" for effect in self.effects)])
 
     def _repr_html_(self) -> str:
-        effects = "".join(f"<p>effect: {e}</p>" for e in self.effects)
-        return f"<p><b>Model {self.name}</b></p>{self.parameters.table().html()}{effects}"
+        effects = "".join(f"<p>effect: {escape(e)}</p>" for e in self.effects)
+        return f"<p><b>Model {escape(self.name)}</b></p>{self.parameters.table().html()}{effects}"
 
 
 def model_of_config(config: ModelConfig, declared: ModelConfig | None = None) -> Model:

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -191,7 +192,8 @@ class Record:
         )
 
     def _repr_html_(self) -> str:
-        head = f"<p><b>Record {self.name}</b>: {self.duration_s:.6g} s at {self.rate_hz:.6g} Hz</p>"
+        length = f"{self.duration_s:.6g} s at {self.rate_hz:.6g} Hz"
+        head = f"<p><b>Record {escape(self.name)}</b>: {length}</p>"
         return head + self.signals._repr_html_()
 
     def _unknown(self, name: str) -> LogError:

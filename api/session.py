@@ -283,7 +283,7 @@ class Session:
             LogError: a file is not a log.
         """
         from ..identification.options import Options
-        from .identification import identify
+        from .identify import identify
 
         options = Options(markov=markov, order=order, impulse_s=impulse_s)
         return identify(self, model, options, truth, progress, warn)

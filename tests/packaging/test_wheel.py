@@ -18,7 +18,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
     """Return the file names of a wheel; it is built from a copy, to keep the checkout clean."""
     pytest.importorskip("setuptools", minversion="77", reason="`make test` installs it")
     copy = tmp_path_factory.mktemp("source")
-    for name in ("pyproject.toml", "README.md", "LICENSE", "__init__.py"):
+    for name in ("pyproject.toml", "README.md", "LICENSE", "__init__.py", "py.typed"):
         shutil.copy(ROOT / name, copy)
     for name in [*PACKAGES, "tests", "benchmarks"]:
         if (ROOT / name).is_dir():
@@ -47,5 +47,6 @@ def test_wheel_contains_every_file_of_every_package(wheel: set[str]) -> None:
 def test_wheel_contains_the_packages_only(wheel: set[str]) -> None:
     """Tests, benchmarks and documentation stay in the repository."""
     top_level = {name.split("/")[1] for name in wheel if name.startswith("levid/")}
-    assert top_level == {"__init__.py", *PACKAGES}
+    # py.typed makes mypy and editors read the types of the public names.
+    assert top_level == {"__init__.py", "py.typed", *PACKAGES}
     assert {name.split("/")[0].rpartition(".")[2] for name in wheel} == {"levid", "dist-info"}

@@ -17,7 +17,7 @@ from ..report.plotting.labelled_frequency_responses import (
     CONFIDENCE,
     Curve,
     SignalLabels,
-    rig_or,
+    shown_range,
 )
 from ..report.plotting.style import DOUBTFUL, TRUTH, LineStyle, line_of, position_label
 from .notebook_figure import shown
@@ -38,7 +38,8 @@ def bode_plot(found: Identification) -> Figure:
     labels = SignalLabels(inputs, s.input_units, s.output_names, s.output_units)
     curves = _curves(found)
     low, high = float(curves[0].freq_hz[0]), float(curves[0].freq_hz[-1])
-    span = rig_or(low, high, labels)
+    modes_hz = [mode.frequency.value for mode in found.modes]
+    span = shown_range(low, high, labels, modes_hz)
     beams = found.beam_m or (None,)
     truth = []
     if found.truth is not None:

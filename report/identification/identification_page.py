@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ... import __version__
+from ...config.version import __version__
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
 from ...identification.records.record import describe_position

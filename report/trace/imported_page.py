@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ... import __version__
 from ...config.model import EffectParameter
+from ...config.version import __version__
 from ...identification.trace.force_regression.force_trace_summary import (
     ABOUT,
     ForceOutcome,

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ... import __version__
 from ...config.model import ModelParameter
+from ...config.version import __version__
 from ...identification.records.record import OTHER_STEP
 from ...identification.trace.figure_data import Views
 from ...identification.trace.found_effects_summary import Outcome, model_after

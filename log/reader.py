@@ -93,7 +93,7 @@ def mapped(path: Path) -> memoryview:
 def _read(path: Path, data: memoryview) -> Log:
     contents = scan(data)
     channel, dtype = described_channel(contents)
-    cdr, first = _first_message(contents, channel)
+    cdr, first = first_message(contents, channel)
     in_file = dtype if cdr == CDR_LE else dtype.newbyteorder(">")
     layout = MessageLayout(channel, in_file, cdr)
     rows, times, problem = _read_rows(contents.chunks, layout, first, len(data))
@@ -149,7 +149,7 @@ def _channel_dtype(contents: Contents, channel: Channel) -> np.dtype[np.void]:
     return dtype_from_ros2msg(str(schema.data, "utf-8", "replace"))
 
 
-def _first_message(contents: Contents, channel: int) -> tuple[bytes, dict[int, memoryview]]:
+def first_message(contents: Contents, channel: int) -> tuple[bytes, dict[int, memoryview]]:
     """Return the CDR byte order of the channel's first message.
 
     Also return its decompressed chunk, by offset, so that it is not decompressed again.

@@ -1,0 +1,1 @@
+"""Export logs as tables: CSV, Parquet, MAT and NPZ, chunk by chunk."""

@@ -212,6 +212,7 @@ def _grey_box(grey: GreyBox) -> dict[str, Any]:
             }
             for name, p in fitted.items()
         },
+        "covariance": {"parameters": grey.fit.free, "matrix": grey.fit.covariance},
         "balance": grey.balance
         and {
             "band_hz": grey.balance.band_hz,

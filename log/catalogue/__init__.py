@@ -1,0 +1,1 @@
+"""Catalogue of flights and results below a folder."""

@@ -1,0 +1,1 @@
+"""Compare two identified models: parameters, frequency responses, effects."""

@@ -1,0 +1,134 @@
+"""Load a result of identify or trace: model.yaml and, beside it, result.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.base import ConfigError
+from ...config.model import ModelConfig, load_model
+
+Array = NDArray[np.float64]
+
+MODEL, RESULT = "model.yaml", "result.json"
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class SavedResult:
+    """A fitted model with the covariance of its parameters.
+
+    path: as given. free: the parameters with a standard error, covariance (F, F) theirs in SI
+    units. correlated: whether the covariance has correlations; without result.json it is diagonal.
+    command: identify or trace, empty if not known. logs: paths of the logs that it was fitted to.
+    random_forces: found by trace, which are not in the model: name and parameters.
+    """
+
+    path: Path
+    model: ModelConfig
+    free: tuple[str, ...]
+    covariance: Array
+    correlated: bool
+    command: str = ""
+    logs: tuple[str, ...] = ()
+    random_forces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors by parameter, in SI units."""
+        return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def load_result(path: Path | str) -> SavedResult:
+    """Load a folder that identify or trace wrote, or a model file.
+
+    The covariance is that of result.json beside the model if its parameters are the model's.
+
+    Raises:
+        ConfigError: there is no model file, or it is invalid.
+    """
+    path = Path(path)
+    file = path / MODEL if path.is_dir() else path
+    if path.is_dir() and not file.is_file():
+        raise ConfigError(
+            f"{path}: expected a result with {MODEL}, found none; levid identify writes it if there "
+            "is a declared model (--model MODEL.yaml for imported data)"
+        )
+    model = load_model(file)
+    beside = _beside(file.parent / RESULT) if file.name == MODEL else {}
+    beside = beside if _same_model(beside, model) else {}
+    errors = {name: p.se for name, p in model.parameters.items() if p.se}
+    free, covariance = tuple(errors), np.diag(np.square(list(errors.values())))
+    found = _covariance(beside, model)
+    correlated = found is not None
+    if found is not None:
+        free, covariance = found
+    logs = beside.get("logs")
+    return SavedResult(
+        path,
+        model,
+        free,
+        covariance.reshape(len(free), len(free)),
+        correlated,
+        str(beside.get("command", "")),
+        tuple(map(str, logs)) if isinstance(logs, list) else (),
+        _random_forces(beside),
+    )
+
+
+def _beside(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _same_model(found: Mapping[str, Any], model: ModelConfig) -> bool:
+    """Return whether result.json is of this model, and not of a run before or after it."""
+    grey = found.get("grey_box")
+    if isinstance(grey, dict) and isinstance(grey.get("parameters"), dict):
+        values = {name: p.get("value") for name, p in grey["parameters"].items()}
+        return values.keys() == model.parameters.keys() and all(
+            value is not None and np.isclose(value, model.parameters[name].value, _SAME, 0.0)
+            for name, value in values.items()
+        )
+    named = {
+        (name, value["value"])
+        for effect in found.get("effects") or []
+        for name, value in effect.get("parameters", {}).items()
+        if effect.get("class") != "vibration"
+    }
+    own = {(name, p.value) for effect in model.effects for name, p in effect.parameters.items()}
+    return found.get("command") == "trace" and named <= own
+
+
+def _covariance(
+    found: Mapping[str, Any], model: ModelConfig
+) -> tuple[tuple[str, ...], Array] | None:
+    """Return parameters and their covariance in result.json, None if it has none."""
+    stated = (found.get("grey_box") or {}).get("covariance")
+    if not isinstance(stated, dict):
+        return None
+    try:
+        free = tuple(map(str, stated["parameters"]))
+        matrix = np.array(stated["matrix"], np.float64)
+    except (KeyError, TypeError, ValueError):
+        return None
+    if matrix.shape != (len(free), len(free)) or not set(free) <= set(model.parameters):
+        return None
+    return (free, matrix) if np.isfinite(matrix).all() else None
+
+
+def _random_forces(found: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    return {
+        str(effect["name"]): effect["parameters"]
+        for effect in found.get("effects") or []
+        if effect.get("class") == "vibration"
+    }

@@ -1,0 +1,1 @@
+"""Page that compares two results of identify or trace."""

@@ -1,0 +1,210 @@
+"""Write the page of `levid compare`: verdict, parameters, responses of both models."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...identification.comparison.compare_results import Comparison, OneSided
+from ...identification.comparison.parameter_differences import Difference
+from ...identification.comparison.response_differences import (
+    ModelResponse,
+    PathDeviation,
+    ResponseComparison,
+)
+from ..figures.bode import bode_magnitude, bode_phase
+from ..plotting.figure_to_svg import Picture, to_svg
+from ..plotting.html_page import Figures, Number, Part, Section, Table, Text, write_report
+from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, symbol
+from ..plotting.style import line_of
+from .deviation_figure import deviation_figure
+
+Array = NDArray[np.float64]
+
+_SURE_95 = 1.96
+
+
+def comparison_page(found: Comparison, out: Path) -> Path:
+    """Write the page into the folder `out`, and return its path; raises OSError."""
+    sections = [Section("Answer", tuple(_answer(found)))]
+    if found.parameters:
+        sections.append(Section("Parameters", tuple(_parameters(found))))
+    if found.only_a or found.only_b:
+        sections.append(Section("Effects in one result only", (_one_sided(found),)))
+    if found.response is not None:
+        sections.append(Section("Frequency responses", tuple(_responses(found, found.response))))
+    sections.append(Section("Method", tuple(_method(found))))
+    return write_report(out, "Comparison of two results", sections)
+
+
+def _answer(found: Comparison) -> list[Part]:
+    count = len(found.significant)
+    numbers = [
+        Number(
+            f"{count} of {found.tested}",
+            "parameters differ by more than chance",
+            "bad" if count else "good",
+        )
+    ]
+    if found.whole is not None:
+        p = found.whole[2]
+        text = f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
+        numbers.append(Number(text, "probability of all parameters being equal, by chance"))
+    paths = _determined(found.response)
+    if paths:
+        level = max(paths, key=lambda p: abs(p.decibel))
+        numbers.append(
+            Number(
+                f"{abs(level.decibel):.2g} dB",
+                f"largest deviation of a response, at {level.decibel_at_hz:.3g} Hz",
+            )
+        )
+    return [
+        Text(f"{found.verdict[:1].upper()}{found.verdict[1:]}.", "lead"),
+        Text(f"A is {found.a.path}. B is {found.b.path}."),
+        Figures(tuple(numbers)),
+        *(Text(f"{note[:1].upper()}{note[1:]}.", "note") for note in found.notes),
+    ]
+
+
+def _parameters(found: Comparison) -> list[Part]:
+    order = sorted(found.parameters, key=lambda d: -abs(d.in_errors or 0.0))
+    rows = tuple(
+        (
+            f"{d.name} ({d.effect})" if d.effect else d.name,
+            *value_cells(d),
+            "" if d.in_errors is None else f"{d.in_errors:+.1f}".replace("-", "−"),
+            "" if d.p_value is None else f"{d.p_value:.2g}",
+            "differs" if d.significant else "",
+        )
+        for d in order
+    )
+    head = ("parameter", "A", "B", "B − A", "unit", "in standard errors", "p (Holm)", "")
+    caption = "Values with 95 % intervals, the most different first"
+    return [Table(caption, head, rows)]
+
+
+def value_cells(d: Difference) -> tuple[str, str, str, str]:
+    """Return A, B, B - A with 95 % intervals, to the second digit of the interval, and unit."""
+    halves = [None if not se else _SURE_95 * se for se in (d.a.se, d.b.se, d.se)]
+    known = [h for h in halves if h]
+    least = min(known) if known else max(abs(d.difference), 1e-12)
+    largest = max(abs(d.a.value), abs(d.b.value), least)
+    power = math.floor(math.log10(largest))
+    power = 0 if -3 <= power < 6 else power
+    digits = min(max(1 - math.floor(math.log10(least)) + power, 0), 12)
+    texts = []
+    for value, half in zip((d.a.value, d.b.value, d.difference), halves, strict=True):
+        text = f"{value / 10.0**power:.{digits}f}".replace("-", "−")
+        texts.append(f"{text} ± {half / 10.0**power:.{digits}f}" if half else text)
+    unit = "" if d.unit in ("", "1") else d.unit
+    unit = f"1e{power} {unit}".strip() if power else unit
+    return texts[0], texts[1], texts[2], unit
+
+
+def _one_sided(found: Comparison) -> Table:
+    def rows(side: str, effects: Sequence[OneSided]) -> list[tuple[str, ...]]:
+        return [
+            (e.name, side, ", ".join(f"{n} = {v}" for n, v in e.values.items())) for e in effects
+        ]
+
+    all_rows = (*rows("A", found.only_a), *rows("B", found.only_b))
+    return Table("Effects that one result has", ("effect", "in", "parameters"), all_rows, labels=3)
+
+
+def _responses(found: Comparison, response: ResponseComparison) -> list[Part]:
+    at = ", ".join(f"{name} = {value:g}" for name, value in response.schedule.items())
+    signals = _signals(found)
+    shown = Range(float(response.freq_hz[0]), float(response.freq_hz[-1]))
+    curves = [
+        _curve("A", 0, response.freq_hz, response.a),
+        _curve("B", 1, response.freq_hz, response.b),
+    ]
+    rows = tuple(_path_row(p) for p in response.paths)
+    where = f" at {at}" if at else ""
+    return [
+        Table(
+            f"Largest deviation of B from A{where}",
+            ("path", "magnitude", "phase", "in standard errors", "p, all frequencies"),
+            rows,
+        ),
+        Picture(
+            "deviation",
+            to_svg(deviation_figure(response, signals)),
+            "Deviation of the responses in dB and degrees over frequency",
+            f"Response of B over that of A{where}. Outside of the band at many frequencies: the "
+            "models differ; the table counts that there are many frequencies.",
+        ),
+        Picture(
+            "magnitude",
+            to_svg(bode_magnitude(curves, signals, shown=shown)),
+            "Magnitude of both responses over frequency",
+            f"Magnitude of both models{where}.",
+        ),
+        Picture(
+            "phase",
+            to_svg(bode_phase(curves, signals, shown=shown)),
+            "Phase of both responses over frequency",
+            f"Phase of both models{where}, lag and delay included.",
+        ),
+    ]
+
+
+def _path_row(p: PathDeviation) -> tuple[str, ...]:
+    name = f"{symbol(p.input)} → {symbol(p.output)}"
+    if not p.determined:
+        return name, "not determined", "", "", ""
+    return (
+        name,
+        f"{p.decibel:+.2g} dB at {p.decibel_at_hz:.3g} Hz".replace("-", "−"),
+        f"{p.degree:+.2g}° at {p.degree_at_hz:.3g} Hz".replace("-", "−"),
+        f"{p.in_errors:.1f} at {p.in_errors_at_hz:.3g} Hz",
+        f"{p.p_value:.2g}",
+    )
+
+
+def _method(found: Comparison) -> list[Part]:
+    texts = [
+        "The errors of the two fits are taken as independent and normal: the standard error of a "
+        "difference is the root of the sum of both squared standard errors. The p-values of the "
+        "parameters are corrected for the number of tests (Holm), so that with 95 % probability no "
+        "parameter is called different by chance.",
+        "The p-value of a response holds for all frequencies and paths together (Scheffé), and is "
+        "cautious. A path whose magnitude is uncertain by more than 30 % is not determined.",
+    ]
+    if found.whole is not None:
+        value, count, _ = found.whole
+        texts.append(
+            f"All {count} common parameters together: chi-square {value:.4g} with {count} degrees "
+            "of freedom (Wald), correlations included."
+        )
+    return [Text(text) for text in texts]
+
+
+def _signals(found: Comparison) -> SignalLabels:
+    model = found.a.model
+    return SignalLabels(
+        tuple(q.name for q in model.inputs),
+        tuple(q.unit for q in model.inputs),
+        tuple(q.name for q in model.dof),
+        tuple(q.unit for q in model.dof),
+    )
+
+
+def _curve(label: str, index: int, freq_hz: Array, response: ModelResponse) -> Curve:
+    return Curve(
+        label,
+        line_of(index),
+        freq_hz,
+        response.H,
+        response.deviation,
+        response.error_im,
+    )
+
+
+def _determined(response: ResponseComparison | None) -> list[PathDeviation]:
+    return [] if response is None else [p for p in response.paths if p.determined]

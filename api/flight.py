@@ -28,6 +28,7 @@ def fly(
     sim: str | Path | None = None,
     out: str | Path | None = None,
     *,
+    note: str = "",
     progress: Progress | None = None,
 ) -> Session:
     """Fly a session on the simulated rig, as fast as the code runs, and load its logs.
@@ -38,6 +39,7 @@ def fly(
         sim: SIM.yaml, the simulated plant; default: the one that the rig names.
         out: folder for the logs, without logs in it; default: a temporary folder, which is deleted
             when the returned session and its records are no longer used.
+        note: a line on this flight, for its logs and `levid list`.
         progress: called with the step and the completed fraction of the flight.
 
     Commands in `then` of the session are not run: call `identify` and `trace`.
@@ -54,7 +56,7 @@ def fly(
     else:
         folder_without_logs(folder)
     try:
-        result = fly_session(config, text, source, rig, sim, folder, progress)
+        result = fly_session(config, text, source, rig, sim, folder, progress, note)
     except FlightFault as fault:
         where = "pass out=FOLDER to keep them" if out is None else str(folder)
         fault.add_note(f"logs up to 0.5 s after the fault: {where}")
@@ -70,6 +72,7 @@ def fly_session(
     sim: str | Path | None,
     out: Path,
     progress: Progress | None = None,
+    note: str = "",
 ) -> FlightResult:
     """Fly a parsed session into the folder `out`; `text` is attached to the logs.
 
@@ -92,6 +95,7 @@ def fly_session(
         out,
         lambda step, done, total: report(step, done / total),
         source=source,
+        note=note,
     )
 
 

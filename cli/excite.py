@@ -60,6 +60,7 @@ _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
     help="Fly although this check before lift-off failed (`levid status` lists them): devices, "
     "recorder, disk, real_time, cpu, loop or motion. May be repeated; the log says so.",
 )
+@click.option("--note", default="", help="A line on this flight, for its logs and `levid list`.")
 def command(
     session: Path,
     rig_path: Path | None,
@@ -68,6 +69,7 @@ def command(
     out: Path,
     if_gone: str | None,
     override: tuple[str, ...],
+    note: str,
 ) -> int:
     """Fly SESSION.yaml; write one log per step and a report of the flight to --out.
 
@@ -79,6 +81,7 @@ def command(
     Examples:
       levid excite config/sessions/white-noise-1khz.yaml --virtual --out out/first
       levid excite my-session.yaml --sim config/sims/rig.yaml --virtual --out out/second
+      levid excite config/sessions/beam.yaml --out out/beam --note "new rods, 21 degrees C"
       levid excite config/sessions/beam.yaml --out /var/lib/levid/today
     """
     from ..config.session import load_session
@@ -88,13 +91,13 @@ def command(
     if virtual and override:
         raise click.UsageError("--override: a virtual flight is not checked before lift-off")
     if virtual:
-        result = fly_here(config, session, rig_path, sim_path, out)
+        result = fly_here(config, session, rig_path, sim_path, out, note)
     elif sim_path is not None:
         raise click.UsageError(
             "--sim: expected --virtual too; without it the daemon flies the SIM.yaml of its rig"
         )
     else:
-        result = _on_daemon(session, rig_path, out, if_gone, override)
+        result = _on_daemon(session, rig_path, out, if_gone, override, note)
     late = f", {result.late} late cycles" if result.late else ""
     lost = f", {result.lost} rows lost" if result.lost else ""
     records = f"{len(result.records)} record{'s' * (len(result.records) != 1)}"
@@ -108,7 +111,12 @@ def command(
 
 
 def fly_here(
-    config: SessionConfig, session: Path, rig_path: Path | None, sim_path: Path | None, out: Path
+    config: SessionConfig,
+    session: Path,
+    rig_path: Path | None,
+    sim_path: Path | None,
+    out: Path,
+    note: str = "",
 ) -> FlightResult:
     """Fly a session in this process in virtual time.
 
@@ -122,7 +130,7 @@ def fly_here(
     with progress(f"flying {config.name}") as report:
         try:
             return fly_session(
-                config, session.read_bytes(), str(session), rig_path, sim_path, out, report
+                config, session.read_bytes(), str(session), rig_path, sim_path, out, report, note
             )
         except FlightFault:
             say(f"logs up to 0.5 s after the fault: {out}")
@@ -156,6 +164,7 @@ def _on_daemon(
     out: Path,
     if_gone: str | None,
     override: tuple[str, ...],
+    note: str,
 ) -> FlightResult:
     from ..config.rig import load_rig
     from ..daemon.api.socket_paths import socket_path
@@ -166,7 +175,9 @@ def _on_daemon(
     rig_text = rig.model_dump_json() if rig is not None else None
     try:
         with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:
-            return client.excite(_text(session), out.resolve(), report, rig_text, if_gone, override)
+            return client.excite(
+                _text(session), out.resolve(), report, rig_text, if_gone, override, note
+            )
     except NoDaemonError as error:
         raise NoDaemonError(f"{error}, or fly in this process with --virtual") from None
     except KeyboardInterrupt:

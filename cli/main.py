@@ -75,8 +75,13 @@ _SECTIONS = {
     "Identify": (
         "identify",
         "trace",
+        "compare",
     ),
     "Logs and data": (
+        "list",
+        "info",
+        "plot",
+        "export",
         "import",
         "salvage",
     ),

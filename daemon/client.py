@@ -125,13 +125,14 @@ class Client:
         rig: str | None = None,
         client_gone: str | None = None,
         override: Sequence[str] = (),
+        note: str = "",
     ) -> FlightResult:
         """Fly the session given as YAML text, logging into `out` on the daemon's machine.
 
         `report` gets the step name and the fraction flown. With `rig` (YAML text) the daemon
         refuses if it runs another rig. `client_gone`: go_on or land, if this client disconnects;
         default: service.client_gone of the rig. override: checks before lift-off whose failure is
-        accepted. Raises DaemonError.
+        accepted. note: of the user, for the logs. Raises DaemonError.
         """
         answer = self.request(
             "excite",
@@ -141,6 +142,7 @@ class Client:
             rig=rig,
             client_gone=client_gone,
             override=list(override),
+            **({"note": note} if note else {}),
         )
         return FlightResult(
             tuple(map(Path, answer["logs"])),

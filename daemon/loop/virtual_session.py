@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ...config.base import ConfigError
 from ...config.rig import RigConfig
 from ...config.session import SessionConfig
 from ...drivers.open_backends import ROLES
-from ..planning.plan import plan_session
+from ..planning.plan import checked_note, plan_session
 from ..recording.log_metadata import FlightResult, attachments
 from .clock import VirtualClock
 from .virtual_flight import Flight, Progress
@@ -22,10 +23,11 @@ def fly_virtually(
     out: Path,
     progress: Progress | None = None,
     source: str | None = None,
+    note: str = "",
 ) -> FlightResult:
     """Fly `session` on `rig` (read from `rig_file`) and log into the folder `out`.
 
-    `source` names the session in errors.
+    `source` names the session in errors. `note` is the user's, for the logs.
 
     Raises:
         ConfigError: a role has a backend other than loopback, or the session does not fit the rig.
@@ -41,6 +43,7 @@ def fly_virtually(
     texts = attachments(rig, rig_file.read_bytes(), session_text)
     with Flight(rig, rig_file.parent, rate_hz, VirtualClock()) as flight:
         plan = plan_session(session, rig, flight.beam_m, flight.rotor_rad, source)
+        plan = replace(plan, note=checked_note(note))
         # After planning: a session that does not fit the rig creates no files.
         out.mkdir(parents=True, exist_ok=True)
         return flight.fly(plan, out, texts, progress)

@@ -31,6 +31,8 @@ _JUDGED_S = 2.0
 """Longest delay of the evaluation of a coil check; its rows must stay in the ring until then."""
 MOST_CYCLES = 30_000_000
 """Longest record, and longest session of a daemon: 50 min at 10 kHz, arrays of several GB."""
+MOST_NOTE = 1000
+"""Longest note of the user on a flight, in characters."""
 _FLYING = np.array([[1.0, 1.0, 1.0]])
 
 
@@ -58,11 +60,26 @@ class Plan:
     name: str
     rate_hz: float
     steps: tuple[PlannedStep, ...]
+    note: str = ""
+    """What the user writes about this flight, for its logs."""
 
     @property
     def cycles(self) -> int:
         """Cycles of all steps."""
         return sum(step.cycles for step in self.steps)
+
+
+def checked_note(text: object) -> str:
+    """Return the user's note on a flight; raise ConfigError if it does not fit into a log."""
+    if text is None:
+        return ""
+    if not isinstance(text, str):
+        raise ConfigError("note: expected a line of text, found another value")
+    if len(text) > MOST_NOTE:
+        raise ConfigError(f"note: expected at most {MOST_NOTE} characters, found {len(text)}")
+    if not text.isprintable():
+        raise ConfigError("note: expected one line of text, found a line break or control character")
+    return text
 
 
 def plan_session(

@@ -21,7 +21,7 @@ from ..control.coil_check import Pushes
 from ..control.flight_segment import Segment
 from ..control.preflight_findings import Check
 from ..control.states import State
-from .plan import MOST_CYCLES, Plan, PlannedStep
+from .plan import MOST_CYCLES, MOST_NOTE, Plan, PlannedStep
 
 _MAGIC = b"levidpl1"
 _OPS = ("excite", "levitate", "move")
@@ -39,7 +39,7 @@ _HEADER = np.dtype(
         ("coils", "<i8"),
         ("landing", "<i8", (2,)),
         ("name", "S128"),
-        *((part, _PLACE) for part in ("out", "session", "note", "steps", "segments")),
+        *((part, _PLACE) for part in ("out", "session", "note", "remark", "steps", "segments")),
     ]
 )
 _STEPS = np.dtype(
@@ -63,6 +63,7 @@ _ALIGNMENT = 8
 _STATES = (State.IDLE, State.LEVITATING, State.EXCITING, State.MOVING, State.LANDING)
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _MOST_SEGMENTS, _MOST_SESSION = 8 * MOST_STEPS, 1 << 20
+_MOST_NOTE_BYTES = 4 * MOST_NOTE
 MOST_WORDS = 1 << 16
 """Longest refusal, path or note in bytes."""
 
@@ -121,8 +122,8 @@ def write_plan(fd: int, planned: PlannedRequest) -> None:
     header["rate_hz"], header["coils"], header["name"] = plan.rate_hz, coils, plan.name.encode()
     header["override"] = sum(1 << _CHECKS.index(check) for check in set(planned.override))
     header["landing"] = (-1, -1) if planned.landing is None else planned.landing
-    texts = planned.out.encode(), planned.session, planned.note.encode()
-    for part, text in zip(("out", "session", "note"), texts, strict=True):
+    texts = planned.out.encode(), planned.session, planned.note.encode(), plan.note.encode()
+    for part, text in zip(("out", "session", "note", "remark"), texts, strict=True):
         header[part] = _append(fd, memoryview(text)), len(text)
     table = np.array(segments, _SEGMENTS)
     header["steps"] = _append(fd, memoryview(steps.tobytes())), len(steps)
@@ -184,6 +185,7 @@ def read_plan(fd: int, coils: int) -> PlannedRequest:
             )
             for step, first, end in zip(steps, firsts[:-1], firsts[1:], strict=True)
         ),
+        _blob(memory, header["remark"], _MOST_NOTE_BYTES, "remark").decode(errors="replace"),
     )
     ramp, release = header["landing"].tolist()
     return PlannedRequest(

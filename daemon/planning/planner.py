@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from ...config.base import ConfigError, parse, parse_text
@@ -11,7 +12,7 @@ from ...config.rig import RigConfig
 from ...config.session import CoilCheck, Land, Levitate, Move, SessionConfig, Step
 from ..control.preflight_findings import Check, check_names
 from ..control.states import State
-from .plan import MOST_CYCLES, Plan, plan_session, plan_steps
+from .plan import MOST_CYCLES, Plan, checked_note, plan_session, plan_steps
 from .plan_memory_file import PlannedRequest
 from .predicted_motion import motion_finding
 from .refused_request import RELOADED, RefusedError, Situation, override_hint, wrong_state
@@ -132,6 +133,7 @@ class Planner:
         if land is not None:
             landing = round(land.ramp_s * rate_hz), round(land.release_s * rate_hz)
             self._require_length(f"{plan.name}: land", sum(landing))
+        plan = replace(plan, note=checked_note(request.get("note")))
         gone = str(request.get("client_gone") or "")
         override = _override(request)
         return PlannedRequest(op, plan, out, landing, gone, session, note, override)

@@ -39,6 +39,7 @@ class FlightResult:
 
 def log_metadata(plan: Plan, step: PlannedStep) -> dict[str, str]:
     """Return the key-value pairs of the Metadata record `levid` in a step's log."""
+    noted = {"note": plan.note} if plan.note else {}
     return {
         "format": "1",
         "kind": step.kind,
@@ -46,6 +47,7 @@ def log_metadata(plan: Plan, step: PlannedStep) -> dict[str, str]:
         "step": str(step.index),
         "session": plan.name,
         "rate_hz": repr(plan.rate_hz),
+        **noted,
     }
 
 

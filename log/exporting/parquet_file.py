@@ -28,8 +28,8 @@ def write_parquet(
     Raises:
         LogError: pyarrow is not installed.
     """
-    pa = _pyarrow("pyarrow")
-    parquet = _pyarrow("pyarrow.parquet")
+    pa = pyarrow_module("pyarrow")
+    parquet = pyarrow_module("pyarrow.parquet")
     fields = [
         pa.field(name, pa.from_numpy_dtype(c.dtype), False, {"unit": c.unit, "meaning": c.meaning})
         for c in columns
@@ -62,7 +62,8 @@ def _grouped(blocks: Iterable[Block]) -> Iterable[list[Block]]:
         yield group
 
 
-def _pyarrow(name: str) -> ModuleType:
+def pyarrow_module(name: str) -> ModuleType:
+    """Return a module of pyarrow; raise LogError with the command that installs it."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

@@ -82,7 +82,7 @@ def _schedule(texts: tuple[str, ...], known: set[str]) -> dict[str, float]:
 
 def words(found: Comparison) -> list[str]:
     """Return the comparison as lines of text, the answer first; +- is a 95 % interval."""
-    from ..report.comparison.comparison_page import value_cells
+    from ..report.comparison.comparison_page import name_of, value_cells
 
     lines = [found.verdict, f"A: {found.a.path}", f"B: {found.b.path}"]
     lines += [f"note: {note}" for note in found.notes]
@@ -91,7 +91,7 @@ def words(found: Comparison) -> list[str]:
         cells = [cell.replace("±", "+-").replace("−", "-") for cell in value_cells(d)]
         rows.append(
             (
-                f"{d.name} ({d.effect})" if d.effect else d.name,
+                name_of(d),
                 *cells,
                 "" if d.in_errors is None else f"{d.in_errors:+.1f}",
                 "" if d.p_value is None else f"{d.p_value:.2g}",
@@ -105,8 +105,8 @@ def words(found: Comparison) -> list[str]:
         value, count, p = found.whole
         lines += [
             "",
-            f"all {count} parameters together: chi-square {value:.4g}, probability by chance "
-            f"{p:.2g}",
+            f"all {count} parameters together: chi-square {value:.4g}; chance alone makes it as "
+            f"large with probability {p:.2g}",
         ]
     if found.response is not None:
         lines += ["", *_response_lines(found.response)]

@@ -79,6 +79,11 @@ class LogStream:
         """Size of the file."""
         return len(self._data)
 
+    @property
+    def chunks(self) -> int:
+        """Number of chunks of the file: at least as many as blocks."""
+        return max(len(self._contents.chunks), 1)
+
     def blocks(self) -> Iterator[Block]:
         """Yield all rows in the order of the file; a damaged log ends before its first damage."""
         self.problem = self._contents.problem

@@ -78,7 +78,9 @@ def checked_note(text: object) -> str:
     if len(text) > MOST_NOTE:
         raise ConfigError(f"note: expected at most {MOST_NOTE} characters, found {len(text)}")
     if not text.isprintable():
-        raise ConfigError("note: expected one line of text, found a line break or control character")
+        raise ConfigError(
+            "note: expected one line of text, found a line break or control character"
+        )
     return text
 
 

@@ -84,16 +84,15 @@ def compare(
         ConfigError, ModelError: a model cannot be evaluated.
     """
     notes = list(_notes(a, b))
-    response = compare_responses(a, b, schedule or {})
-    if isinstance(response, str):
-        notes.append(response)
-        response = None
+    found = compare_responses(a, b, schedule or {})
+    if isinstance(found, str):
+        notes.append(found)
     return Comparison(
         a,
         b,
         parameter_differences(a, b),
         whole_model_test(a, b),
-        response,
+        None if isinstance(found, str) else found,
         tuple(_one_sided(a, b)),
         tuple(_one_sided(b, a)),
         tuple(notes),

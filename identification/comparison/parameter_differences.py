@@ -135,6 +135,4 @@ def _tested(found: Sequence[Difference]) -> tuple[Difference, ...]:
     tests = [d for d in found if d.in_errors is not None and d.a.se and d.b.se]
     corrected = holm([2.0 * float(norm.sf(abs(d.in_errors or 0.0))) for d in tests])
     p_values = {id(d): float(p) for d, p in zip(tests, corrected, strict=True)}
-    return tuple(
-        Difference(d.name, d.unit, d.a, d.b, d.effect, p_values.get(id(d))) for d in found
-    )
+    return tuple(Difference(d.name, d.unit, d.a, d.b, d.effect, p_values.get(id(d))) for d in found)

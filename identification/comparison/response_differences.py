@@ -209,4 +209,4 @@ def _deviations(
 
 def _error(slope: Array, covariance: Array) -> Array:
     squares = np.einsum("fijk,kl,fijl->fij", slope, covariance, slope)
-    return np.sqrt(np.maximum(squares, 0.0))
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))

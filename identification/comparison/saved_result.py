@@ -57,8 +57,8 @@ def load_result(path: Path | str) -> SavedResult:
     file = path / MODEL if path.is_dir() else path
     if path.is_dir() and not file.is_file():
         raise ConfigError(
-            f"{path}: expected a result with {MODEL}, found none; levid identify writes it if there "
-            "is a declared model (--model MODEL.yaml for imported data)"
+            f"{path}: expected a result with {MODEL}, found none; levid identify writes it if "
+            "there is a declared model (--model MODEL.yaml for imported data)"
         )
     model = load_model(file)
     beside = _beside(file.parent / RESULT) if file.name == MODEL else {}

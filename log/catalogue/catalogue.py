@@ -34,8 +34,8 @@ def update_catalogue(
 ) -> tuple[Run, ...]:
     """Return the flights below a folder, newest first, and bring its catalogue.jsonl up to date.
 
-    Paths are relative to the folder. A folder that may not be written to is read all the same. A result belongs to the flight in
-    whose folder it is, else to the flight of its first log.
+    Paths are relative to the folder. A folder that may not be written to is read all the same. A
+    result belongs to the flight in whose folder it is, else to the flight of its first log.
     """
     report = progress or (lambda _what, _share: None)
     found = list(_folders(folder))

@@ -48,8 +48,9 @@ def decimated(blocks: Iterable[Block], every: int) -> Iterator[Block]:
     """Yield blocks with every N-th row, the first included, with filtered signals.
 
     Floating-point fields are filtered; the first and last row are repeated beyond the ends.
-    `fault` and `saturated` are the largest, `skipped` the sum, and `stale` all bits of N rows; other
-    whole numbers, `cycle` and `time_s` are those of the kept row. NaN spreads over the filter.
+    `fault` and `saturated` are the largest, `skipped` the sum, and `stale` all bits of N rows;
+    other whole numbers, `cycle` and `time_s` are those of the kept row. NaN spreads over the
+    filter.
     """
     if every == 1:
         yield from blocks

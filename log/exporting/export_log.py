@@ -97,7 +97,7 @@ def export_log(
     columns = chosen_columns(log, options.columns)
     facts = _facts(log, options)
     part = out.with_name(f".{out.name}.part")
-    counted = _Counted(_in_range(log, options), options.every)
+    counted = _Counted(rows_in_range(log, options.begin_s, options.end_s), options.every)
     try:
         rows = _WRITERS[kind](part, columns, counted.blocks(), facts)
         if described is not None:
@@ -133,10 +133,17 @@ class _Counted:
             yield block
 
 
-def _in_range(log: LogStream, options: ExportOptions) -> Iterator[Block]:
-    begin = -np.inf if options.begin_s is None else options.begin_s
-    end = np.inf if options.end_s is None else options.end_s
-    whole = options.begin_s is None and options.end_s is None
+def rows_in_range(
+    log: LogStream, begin_s: float | None = None, end_s: float | None = None
+) -> Iterator[Block]:
+    """Yield the rows whose time is in a range, its ends included; None is no limit.
+
+    Raises:
+        LogError: there are none.
+    """
+    begin = -np.inf if begin_s is None else begin_s
+    end = np.inf if end_s is None else end_s
+    whole = begin_s is None and end_s is None
     low, high, found = np.inf, -np.inf, False
     for block in log.blocks():
         if whole:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from struct import Struct
-from typing import BinaryIO
+from typing import Any, BinaryIO, cast
 
-import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import LogError
 from ..log_stream import Block
@@ -64,13 +64,13 @@ def write_mat(
             "units": {c.name: c.unit for c in columns},
             "metadata": dict(facts),
         }
-        savemat(file, texts, appendmat=False, long_field_names=True)
+        savemat(cast("Any", file), texts, appendmat=False, long_field_names=True)
         for column in columns:
             _append_matrix(file, path, column, rows, spool)
     return rows
 
 
-def _by_column(values: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> list[np.ndarray]:  # type: ignore[type-arg]
+def _by_column(values: NDArray[Any]) -> list[NDArray[Any]]:
     return [values] if values.ndim == 1 else list(values.T)
 
 

@@ -53,14 +53,17 @@ def _answer(found: Comparison) -> list[Part]:
     if found.whole is not None:
         p = found.whole[2]
         text = f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
-        numbers.append(Number(text, "probability of all parameters being equal, by chance"))
-    paths = _determined(found.response)
+        numbers.append(
+            Number(text, "probability that chance alone makes the models differ as much")
+        )
+    paths = _main_paths(found)
     if paths:
         level = max(paths, key=lambda p: abs(p.decibel))
         numbers.append(
             Number(
                 f"{abs(level.decibel):.2g} dB",
-                f"largest deviation of a response, at {level.decibel_at_hz:.3g} Hz",
+                f"largest deviation of the response from {symbol(level.input)} to "
+                f"{symbol(level.output)}, at {level.decibel_at_hz:.3g} Hz",
             )
         )
     return [
@@ -75,17 +78,22 @@ def _parameters(found: Comparison) -> list[Part]:
     order = sorted(found.parameters, key=lambda d: -abs(d.in_errors or 0.0))
     rows = tuple(
         (
-            f"{d.name} ({d.effect})" if d.effect else d.name,
-            *value_cells(d),
+            f"{name_of(d)} [{unit}]" if unit else name_of(d),
+            *values,
             "" if d.in_errors is None else f"{d.in_errors:+.1f}".replace("-", "−"),
-            "" if d.p_value is None else f"{d.p_value:.2g}",
-            "differs" if d.significant else "",
+            "" if d.p_value is None else f"{d.p_value:.2g}{' differs' if d.significant else ''}",
         )
         for d in order
+        for *values, unit in (value_cells(d),)
     )
-    head = ("parameter", "A", "B", "B − A", "unit", "in standard errors", "p (Holm)", "")
+    head = ("parameter", "A", "B", "B − A", "std. errors", "p (Holm)")
     caption = "Values with 95 % intervals, the most different first"
     return [Table(caption, head, rows)]
+
+
+def name_of(d: Difference) -> str:
+    """Return the name of a parameter, with its effect if it is of one."""
+    return f"{d.name} ({d.effect})" if d.effect else d.name
 
 
 def value_cells(d: Difference) -> tuple[str, str, str, str]:
@@ -95,7 +103,7 @@ def value_cells(d: Difference) -> tuple[str, str, str, str]:
     least = min(known) if known else max(abs(d.difference), 1e-12)
     largest = max(abs(d.a.value), abs(d.b.value), least)
     power = math.floor(math.log10(largest))
-    power = 0 if -3 <= power < 6 else power
+    power = 0 if -1 <= power < 6 else power
     digits = min(max(1 - math.floor(math.log10(least)) + power, 0), 12)
     texts = []
     for value, half in zip((d.a.value, d.b.value, d.difference), halves, strict=True):
@@ -206,5 +214,14 @@ def _curve(label: str, index: int, freq_hz: Array, response: ModelResponse) -> C
     )
 
 
-def _determined(response: ResponseComparison | None) -> list[PathDeviation]:
-    return [] if response is None else [p for p in response.paths if p.determined]
+def _main_paths(found: Comparison) -> list[PathDeviation]:
+    """Return the paths from each input to its own output; all if their numbers differ.
+
+    Couplings have zeros, where a small change is many dB.
+    """
+    if found.response is None:
+        return []
+    n = len(found.a.model.dof)
+    paths = found.response.paths
+    own = paths[:: n + 1] if len(paths) == n * n else paths
+    return [p for p in own if p.determined]

@@ -42,7 +42,7 @@ class LogStream:
         self.path = Path(path)
         try:
             self._data = mapped(self.path)
-            contents = scan(self._data)
+            contents = scan(self._data, self._release)
             self._open(contents)
         except LogError as error:
             raise LogError(f"{path}: {error}") from None

@@ -36,6 +36,7 @@ MESSAGE_HEAD_BYTES = RECORD_HEAD.size + 22
 # A corrupt size must not allocate gigabytes; common writers make chunks of 1 to 16 MiB.
 MAX_CHUNK_BYTES = 256 << 20
 _LZ4_BEST_RATIO = 255
+_TOLD_BYTES = 8 << 20
 _RUN_BYTES = 16 << 20
 """Size at which a run of messages outside of chunks ends, so that threads can share the runs."""
 HEAD = "levid-head"
@@ -83,15 +84,17 @@ class Contents:
             raise LogError(f"{where}: expected one {kind} {record.id}, found two that differ")
 
 
-def scan(data: memoryview) -> Contents:
+def scan(data: memoryview, passed: Callable[[int], None] | None = None) -> Contents:
     """Walk through the records of a file up to its end, or to the first damage: see `problem`.
+
+    passed: called now and then with the number of bytes that the walk has passed.
 
     Raises:
         LogError: not an MCAP file, the head of a levid log is damaged, or the chunks state that
             they hold much more than a file of this size does.
     """
     _check_magic(data)
-    walk = _Scan(data)
+    walk = _Scan(data, passed)
     try:
         walk.run()
     except LogError as error:
@@ -191,9 +194,10 @@ class Decompressor:
 class _Scan:
     """State of one walk through a file."""
 
-    def __init__(self, data: memoryview) -> None:
+    def __init__(self, data: memoryview, passed: Callable[[int], None] | None = None) -> None:
         self.contents = Contents()
         self._data = data
+        self._passed = passed or (lambda _end: None)
         self._indexed: set[int] = set()  # offsets of the chunks, as the summary states them
         self._head_end = 0  # offset of the record that holds the CRC of everything before it
         self._data_end = 0
@@ -202,8 +206,11 @@ class _Scan:
         """Read all records; raise LogError at the first that is damaged, or if there is no end."""
         data, start = self._data, len(MCAP0_MAGIC)
         run, run_begin, run_end = Chunk("", b"", 0, 0, 0, 0), 0, 0
-        end = start
+        end = told = start
         for opcode, at, end in records(data, start):
+            if end - told > _TOLD_BYTES:
+                told = end
+                self._passed(end)
             if opcode == 0 or Opcode.DATA_END < opcode < 0x80:
                 raise LogError(f"byte {at}: expected an MCAP record, found opcode 0x{opcode:02x}")
             if at == start and opcode != Opcode.HEADER:

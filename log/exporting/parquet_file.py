@@ -13,7 +13,7 @@ from ..errors import LogError
 from ..log_stream import Block
 from .columns import Column
 
-_ROW_GROUP = 1 << 17
+_ROW_GROUP = 1 << 15
 """Rows of a row group: a reader skips groups outside of the time that it asks for."""
 
 

@@ -88,7 +88,7 @@ def signals_over_time(
     """
     signals = _signals(log, columns)
     parts: list[list[Envelope]] = [[] for _ in signals]
-    fine = max(_FINE_BINS // log.chunks, 4)
+    fine = _bins_of_block(log, begin_s, end_s)
     for block in rows_in_range(log, begin_s, end_s):
         t = time_of(log, block)
         at = 0
@@ -101,6 +101,14 @@ def signals_over_time(
         SignalOverTime(signal, over_time(part, BINS))
         for signal, part in zip(signals, parts, strict=True)
     )
+
+
+def _bins_of_block(log: LogStream, begin_s: float | None, end_s: float | None) -> int:
+    """Return the bins of a block, so that those of the whole range are a multiple of BINS."""
+    blocks = float(log.chunks)
+    if begin_s is not None and end_s is not None and log.stated_rows:
+        blocks *= min((end_s - begin_s) * log.rate_hz / log.stated_rows, 1.0)
+    return max(int(_FINE_BINS / max(blocks, 1.0)), 4)
 
 
 def signal_spectra(

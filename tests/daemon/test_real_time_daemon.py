@@ -67,8 +67,9 @@ def test_session_is_flown_and_logged_twice(socket_file: Path, tmp_path: Path) ->
 def test_log_time_is_the_time_of_day(socket_file: Path, tmp_path: Path) -> None:
     before = time.time_ns()
     with Client(socket_file) as client:
-        result = client.excite(SESSION, tmp_path / "logs", lambda *_: None)
+        result = client.excite(SESSION, tmp_path / "logs", lambda *_: None, note="21 °C")
     log = read_log(result.logs[0])
+    assert log.metadata["note"] == "21 °C"
     # The loop counts periods from its start: a slip of a whole second would be a bug, not load.
     assert before - 1e9 < float(log.log_time_ns[0]) < time.time_ns() + 1e9
 

@@ -21,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from waiting import wait_until
 
+from levid.config.base import ConfigError
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.client import DaemonError
@@ -240,6 +241,7 @@ def test_session_that_is_far_too_long_is_refused_before_it_is_planned(
 
 def test_a_plan_in_a_file_is_the_plan_that_was_written() -> None:
     request = {"op": "excite", "session": SESSION, "out": "over/there", "client_gone": "land"}
+    request["note"] = "new rods, 21 °C"
     planned = Planner(RIG).plan(json.dumps(request).encode(), AT_REST)
     fd = memory_file("test")
     try:
@@ -250,6 +252,7 @@ def test_a_plan_in_a_file_is_the_plan_that_was_written() -> None:
     for key in ("op", "out", "landing", "client_gone", "session", "note"):
         assert getattr(found, key) == getattr(planned, key), key
     assert (found.plan.name, found.plan.rate_hz) == (planned.plan.name, planned.plan.rate_hz)
+    assert found.plan.note == planned.plan.note == "new rods, 21 °C"
     assert found.plan.cycles == planned.plan.cycles
     for step, other in zip(found.plan.steps, planned.plan.steps, strict=True):
         assert (step.index, step.kind, step.name) == (other.index, other.kind, other.name)
@@ -447,6 +450,13 @@ def test_planner_that_does_not_come_back_is_started_anew(
 def test_a_log_needs_the_name_of_a_folder(op: str) -> None:
     request = {"op": op, "session": SESSION, "out": ""}
     with pytest.raises(RefusedError, match=r"expected .*folder"):
+        Planner(RIG).plan(json.dumps(request).encode(), AT_REST)
+
+
+@pytest.mark.parametrize("note", [7, ["x"], "two\nlines", "x" * 1001])
+def test_a_note_that_does_not_fit_into_a_log_is_refused(note: object) -> None:
+    request = {"op": "excite", "session": SESSION, "out": "x", "note": note}
+    with pytest.raises(ConfigError, match="note: expected"):
         Planner(RIG).plan(json.dumps(request).encode(), AT_REST)
 
 

@@ -1,11 +1,11 @@
 """Compare two fits of one plant: how often does `levid compare` call them different?
 
-A mass on a spring with a damper, 100 Hz, 20 s of white force, with white force noise and measurement
-noise. Each pair of seeds draws two records and fits both; the plant is the same, so every difference
-is chance. Nominal: 5 % of single tests at 1.96 standard errors, at most 5 % of pairs with any
-parameter called different (Holm), 5 % of pairs by the test of all parameters (Wald), at most 5 % of
-pairs by the response (Scheffe). Then one plant is changed by a given number of standard errors: how
-often is the parameter found?
+A mass on a spring with a damper, 100 Hz, 20 s of white force, with white force noise and
+measurement noise. Each pair of seeds draws two records and fits both; the plant is the same, so
+every difference is chance. Nominal: 5 % of single tests at 1.96 standard errors, at most 5 % of
+pairs with any parameter called different (Holm), 5 % of pairs by the test of all parameters (Wald),
+at most 5 % of pairs by the response (Scheffe). Then the stiffness of one plant is changed by a
+number of standard errors: how often is it found?
 """
 
 from __future__ import annotations

@@ -48,7 +48,9 @@ def result(offset: np.ndarray, name: str = "r", config: ModelConfig = MASS) -> S
     """Return a result whose parameters are off by `offset` (3,)."""
     parameters = {
         n: p.model_copy(update={"value": p.value + x, "se": s})
-        for (n, p), x, s in zip(config.parameters.items(), offset.tolist(), SD.tolist(), strict=True)
+        for (n, p), x, s in zip(
+            config.parameters.items(), offset.tolist(), SD.tolist(), strict=True
+        )
     }
     model = config.model_copy(update={"parameters": parameters})
     return SavedResult(Path(name), model, FREE, COVARIANCE, correlated=True)
@@ -120,7 +122,10 @@ def test_effects_of_one_result_alone_and_of_both(tmp_path: Path) -> None:
     where: ["coil:6"]
     parameters: {gain: {value: VALUE, unit: "1", se: 0.001}}"""
     (tmp_path / "a.yaml").write_text(f"{text}\neffects:{gain.replace('VALUE', '-0.02')}\n")
-    other = '\n  - effect: rod_stiffness.cubic\n    where: ["z"]\n    parameters: {k3: {value: 3.0e+8, unit: N/m^3, se: 1.0e+6}}'
+    other = """
+  - effect: rod_stiffness.cubic
+    where: ["z"]
+    parameters: {k3: {value: 3.0e+8, unit: N/m^3, se: 1.0e+6}}"""
     (tmp_path / "b.yaml").write_text(f"{text}\neffects:{gain.replace('VALUE', '-0.05')}{other}\n")
     found = compare(load_result(tmp_path / "a.yaml"), load_result(tmp_path / "b.yaml"))
     (d,) = found.significant

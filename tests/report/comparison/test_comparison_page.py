@@ -30,9 +30,7 @@ def models(tmp_path: Path) -> list[Path]:
 
 
 @pytest.mark.usefixtures("no_warnings")
-def test_words_page_and_json(
-    models: list[Path], tmp_path: Path, levid: Callable[..., Any]
-) -> None:
+def test_words_page_and_json(models: list[Path], tmp_path: Path, levid: Callable[..., Any]) -> None:
     out = tmp_path / "page"
     code, text, err = levid("compare", *models, "--at", "x_b=0.05", "--out", out)
     assert code == 0, err

@@ -94,7 +94,10 @@ def whole_model_test(a: SavedResult, b: SavedResult) -> tuple[float, int, float]
     S = sum(r.covariance[np.ix_(at, at)] for r, at in zip((a, b), places, strict=True))
     d = np.array([b.model.parameters[n].value - a.model.parameters[n].value for n in common])
     scale = np.sqrt(np.diag(S))
-    value = float((d / scale) @ np.linalg.solve(S / np.outer(scale, scale), d / scale))
+    try:
+        value = float((d / scale) @ np.linalg.solve(S / np.outer(scale, scale), d / scale))
+    except np.linalg.LinAlgError:  # parameters that are known in one combination only
+        return None
     return value, len(common), float(chi2.sf(value, len(common)))
 
 

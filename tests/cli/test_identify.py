@@ -55,6 +55,11 @@ def test_identify_prints_one_json_object_and_writes_a_report(
     code, out, _ = levid("identify", *flown, "--out", tmp_path / "out", "--json")
     assert code == 0
     result = json.loads(out)
+    assert result == json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["logs"] == [str(path) for path in flown]
+    covariance = result["grey_box"]["covariance"]
+    errors = [result["grey_box"]["parameters"][name]["se"] for name in covariance["parameters"]]
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance["matrix"])), errors)
     (point,) = result["points"]
     assert point["beam_m"] == pytest.approx(0.05, abs=1e-4)
     assert point["records"] == ["psi", "theta", "z"]

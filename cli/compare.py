@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .output_folder_check import claimed_folder
+from .path_types import FOLDER, MODEL
 from .text_table import text_table
 
 if TYPE_CHECKING:
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 
 
 @click.command("compare")
-@click.argument("a", type=click.Path(path_type=Path))
-@click.argument("b", type=click.Path(path_type=Path))
+@click.argument("a", type=MODEL)
+@click.argument("b", type=MODEL)
 @click.option(
     "--at",
     multiple=True,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     help="Scheduling variable at which responses are compared, such as x_b=0.05; "
     "default: as declared in the model.",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="Folder of a page with Bode plots.")
+@click.option("--out", type=FOLDER, help="Folder of a page with Bode plots.")
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as one JSON object.")
 def command(a: Path, b: Path, at: tuple[str, ...], out: Path | None, as_json: bool) -> int:
     """Compare the results A and B: folders of identify or trace, or model files.

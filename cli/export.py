@@ -7,16 +7,17 @@ from pathlib import Path
 import click
 
 from .output_folder_check import writable_folder
+from .path_types import ANY, LOG
 from .progress import progress, say
 
 
 @click.command("export")
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
     "-o",
     "--out",
     required=True,
-    type=click.Path(path_type=Path),
+    type=ANY,
     help="FILE.csv, .parquet, .mat or .npz; with --format a folder that gets one file a log.",
 )
 @click.option(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .path_types import LOG
 from .progress import progress
 from .text_table import text_table
 
@@ -21,7 +22,7 @@ _SHOWN_VERSIONS = ("levid", "python", "numpy")
 
 
 @click.command("info")
-@click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("paths", nargs=-1, required=True, type=LOG)
 @click.option("--columns", is_flag=True, help="Also list the columns of each kind of log.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(paths: tuple[Path, ...], columns: bool, as_json: bool) -> int:

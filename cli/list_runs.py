@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .info import fault_name
+from .path_types import FOLDER
 from .progress import progress, say
 from .text_table import text_table
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command("list")
-@click.argument("folder", default="out", type=click.Path(path_type=Path))
+@click.argument("folder", default="out", type=FOLDER)
 @click.option("--rig", help="Only flights of this rig.")
 @click.option("--session", help="Only flights of this session.")
 @click.option(

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import click
 
+from .path_types import ANY, LOG
 from .progress import progress
 
 
 @click.command("plot")
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=LOG)
 @click.argument("signals", nargs=-1)
 @click.option(
     "-o",
     "--out",
-    type=click.Path(path_type=Path),
+    type=ANY,
     help="FILE.svg, .png or .pdf; default: an SVG file beside the log.",
 )
 @click.option("--begin-s", type=float, help="First time in s, as in the log's time_s.")

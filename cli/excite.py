@@ -60,7 +60,12 @@ _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
     help="Fly although this check before lift-off failed (`levid status` lists them): devices, "
     "recorder, disk, real_time, cpu, loop or motion. May be repeated; the log says so.",
 )
-@click.option("--note", default="", help="A line on this flight, for its logs and `levid list`.")
+@click.option(
+    "--note",
+    default="",
+    metavar="NOTE",
+    help="A line on this flight, for its logs and `levid list`.",
+)
 def command(
     session: Path,
     rig_path: Path | None,

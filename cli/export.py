@@ -31,11 +31,16 @@ from .progress import progress, say
     metavar="NAME,...",
     help="Fields (gap_m), elements (gap_m_3) or groups (pose, coils, ...); default: all.",
 )
-@click.option("--begin-s", type=float, help="First time in s, as in the log's time_s.")
-@click.option("--end-s", type=float, help="Last time in s, as in the log's time_s.")
+@click.option(
+    "--begin-s", type=float, metavar="SECONDS", help="First time in s, as in the log's time_s."
+)
+@click.option(
+    "--end-s", type=float, metavar="SECONDS", help="Last time in s, as in the log's time_s."
+)
 @click.option(
     "--every",
     type=click.IntRange(1, 1000),
+    metavar="N",
     default=1,
     help="Keep every N-th row; signals are low-pass filtered before, so that nothing aliases.",
 )

@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 
 @click.command("list")
 @click.argument("folder", default="out", type=FOLDER)
-@click.option("--rig", help="Only flights of this rig.")
-@click.option("--session", help="Only flights of this session.")
+@click.option("--rig", metavar="NAME", help="Only flights of this rig.")
+@click.option("--session", metavar="NAME", help="Only flights of this session.")
 @click.option(
     "--since",
     type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
+    metavar="DATE",
     help="Only flights since this day, or day and time.",
 )
 @click.option("--parquet", is_flag=True, help="Also write FOLDER/catalogue.parquet.")

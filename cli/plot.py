@@ -12,15 +12,19 @@ from .progress import progress
 
 @click.command("plot")
 @click.argument("log", type=LOG)
-@click.argument("signals", nargs=-1)
+@click.argument("signals", nargs=-1, metavar="[SIGNAL]...")
 @click.option(
     "-o",
     "--out",
     type=ANY,
     help="FILE.svg, .png or .pdf; default: an SVG file beside the log.",
 )
-@click.option("--begin-s", type=float, help="First time in s, as in the log's time_s.")
-@click.option("--end-s", type=float, help="Last time in s, as in the log's time_s.")
+@click.option(
+    "--begin-s", type=float, metavar="SECONDS", help="First time in s, as in the log's time_s."
+)
+@click.option(
+    "--end-s", type=float, metavar="SECONDS", help="Last time in s, as in the log's time_s."
+)
 @click.option("--spectrum", is_flag=True, help="Draw amplitude spectral densities instead.")
 def command(
     log: Path,

@@ -147,7 +147,7 @@ def signal_spectra(
             count += 1
             waiting = waiting[:, length // 2 :]
     density = 2.0 * power / (max(count, 1) * log.rate_hz * np.sum(window**2))
-    freq_hz = np.fft.rfftfreq(length, 1.0 / log.rate_hz)
+    freq_hz = np.asarray(np.fft.rfftfreq(length, 1.0 / log.rate_hz), np.float64)
     return tuple(
         SignalSpectrum(signal, freq_hz[1:], np.asarray(np.sqrt(row[1:]), np.float64))
         for signal, row in zip(signals, density, strict=True)

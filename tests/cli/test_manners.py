@@ -33,7 +33,7 @@ steps:
     [
         (["identfy"], "unknown command 'identfy'; did you mean 'identify'?"),
         (["IDENTIFY"], "did you mean 'identify'?"),
-        (["com"], "did you mean 'commission' or 'completion'?"),
+        (["com"], "did you mean 'commission', 'compare' or 'completion'?"),
         (["xyzzy"], "unknown command 'xyzzy'; `levid --help` lists all commands"),
         (["new", "sinals"], "unknown command 'sinals'; did you mean 'signals'?"),
         (["new", "xyzzy"], "`levid new --help` lists all commands"),

@@ -22,6 +22,7 @@ from .model import (
 )
 from .output_folder import claimed_folder
 from .plant import Mode, Modes, Plant, beam_text, plant_of
+from .result_file import RESULT, save_result, with_origin
 
 if TYPE_CHECKING:
     import control
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from .session import Session
 
 Method = Literal["recommended", "subspace", "ho_kalman", "prediction_error", "fitted"]
-REPORT_FILES, REPORT_FOLDERS = ("model.yaml", "index.html"), ("figures",)
+REPORT_FILES, REPORT_FOLDERS = ("model.yaml", RESULT, "index.html"), ("figures",)
 """What a report writes into its folder."""
 _SAME_POSITION_M = 1e-3
 
@@ -165,10 +166,13 @@ class Identification:
             "outputs": _pairs(s.output_names, s.output_units),
         }
         page = None if self._page is None else str(self._page)
-        return {**named, **study_summary(self.results), "report": page}
+        plain = {**named, **study_summary(self.results), "report": page}
+        return with_origin("identify", self._session.logs, plain)
 
-    def report(self, folder: str | Path) -> Path:
-        """Write the report, and model.yaml of the fitted model, to `folder`; return the page.
+    def report(self, folder: str | Path, command: str = "") -> Path:
+        """Write the report, result.json, and model.yaml of the fitted model; return the page.
+
+        The page ends with `command`, which repeats the identification.
 
         Raises:
             ConfigError: the folder cannot be written.
@@ -192,26 +196,26 @@ class Identification:
                 found.grey,
                 found.multisine,
                 found.notes,
+                command,
             )
+            save_result(out, self.to_json())
         return self._page
 
     def save(self, folder: str | Path) -> Path:
-        """Write model.yaml, identification.json and identified.mat to `folder`, without a report.
+        """Write model.yaml, result.json and identified.mat to `folder`, without a report.
 
         model.yaml is written only if a model was fitted. Returns the folder.
 
         Raises:
             ConfigError: the folder cannot be written.
         """
-        import json
-
         from ..report.plotting.atomic_write import replace_text
 
         out = Path(folder)
-        with claimed_folder(out, ("model.yaml", "identification.json", "identified.mat")):
+        with claimed_folder(out, ("model.yaml", RESULT, "identified.mat")):
             if self._found.grey is not None:
                 replace_text(out / "model.yaml", to_yaml(self._found.grey.fitted))
-            replace_text(out / "identification.json", json.dumps(self.to_json(), indent=1) + "\n")
+            save_result(out, self.to_json())
             self.write_mat(out)
         return out
 

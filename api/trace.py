@@ -22,6 +22,7 @@ from .model import (
     model_of_config,
 )
 from .output_folder import claimed_folder
+from .result_file import RESULT, save_result, with_origin
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from ..identification.trace.run_trace import Trace as RigTraceResult
     from .session import Progress, Session, Warn
 
-REPORT_FILES, REPORT_FOLDERS = ("model.yaml", "index.html"), ("figures",)
+REPORT_FILES, REPORT_FOLDERS = ("model.yaml", RESULT, "index.html"), ("figures",)
 """What a report writes into its folder."""
 
 
@@ -231,10 +232,13 @@ class Trace(ABC):
         called.
         """
         written = {name: None if p is None else str(p) for name, p in self._written.items()}
-        return {**self._summary(), **written, "notes": list(self.notes)}
+        plain = {**self._summary(), **written, "notes": list(self.notes)}
+        return with_origin("trace", self._session.logs, plain)
 
-    def report(self, folder: str | Path) -> Path:
-        """Write the report, and model.yaml with the effects, to `folder`; return the page.
+    def report(self, folder: str | Path, command: str = "") -> Path:
+        """Write the report, result.json, and model.yaml with the effects; return the page.
+
+        The page ends with `command`, which repeats the trace.
 
         Raises:
             ConfigError: the folder cannot be written.
@@ -243,24 +247,22 @@ class Trace(ABC):
         with claimed_folder(out, REPORT_FILES, REPORT_FOLDERS):
             # Save the model first: the results of a long search survive an error in the report.
             self._written["model"] = self.model.save(out / "model.yaml")
-            page = self._write_page(out)
-        self._written["report"] = page
+            save_result(out, self.to_json())
+            page = self._write_page(out, command)
+            self._written["report"] = page
+            save_result(out, self.to_json())
         return page
 
     def save(self, folder: str | Path) -> Path:
-        """Write model.yaml and trace.json to `folder`, without a report; return the folder.
+        """Write model.yaml and result.json to `folder`, without a report; return the folder.
 
         Raises:
             ConfigError: the folder cannot be written.
         """
-        import json
-
-        from ..report.plotting.atomic_write import replace_text
-
         out = Path(folder)
-        with claimed_folder(out, ("model.yaml", "trace.json")):
+        with claimed_folder(out, ("model.yaml", RESULT)):
             self._written["model"] = self.model.save(out / "model.yaml")
-            replace_text(out / "trace.json", json.dumps(self.to_json(), indent=1) + "\n")
+            save_result(out, self.to_json())
         return out
 
     def plot(self, effect: int | None = None) -> Figure:
@@ -314,7 +316,7 @@ class Trace(ABC):
         """Return the refitted model with its effects."""
 
     @abstractmethod
-    def _write_page(self, out: Path) -> Path:
+    def _write_page(self, out: Path, command: str) -> Path:
         """Write the page and its figures to a folder; return its path."""
 
     @abstractmethod

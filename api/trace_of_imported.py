@@ -49,10 +49,10 @@ class ImportedTrace(Trace):
     def _model_after(self) -> ModelConfig:
         return model_with_effects(self._found)
 
-    def _write_page(self, out: Path) -> Path:
+    def _write_page(self, out: Path, command: str) -> Path:
         from ..report.trace.imported_page import imported_report
 
-        return imported_report(self._found, out)
+        return imported_report(self._found, out, command)
 
     def _draw_errors(self) -> Figure:
         from ..report.trace.missing_force import missing_force

@@ -81,10 +81,10 @@ class RigTrace(Trace):
     def _model_after(self) -> ModelConfig:
         return model_after(self._found)
 
-    def _write_page(self, out: Path) -> Path:
+    def _write_page(self, out: Path, command: str) -> Path:
         from ..report.trace.trace_page import trace_report
 
-        return trace_report(self._found, self._views, out)
+        return trace_report(self._found, self._views, out, command)
 
     def _draw_errors(self) -> Figure:
         from ..report.trace.trace_figures import errors_by_record

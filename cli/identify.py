@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .output_folder_check import claimed_folder, naming_options, older_results
+from .output_folder_check import claimed_folder, naming_options, older_results, repeated
 from .path_types import FOLDER, LOG, MODEL, SIM
 from .progress import progress, say
 
@@ -134,7 +134,11 @@ def identify_logs(
             lambda remark: say(f"warning: {remark}"),
         )
         report("report", 0.85)
-        found.report(out)
+        given: dict[str, object] = {"model": model, "truth": truth, "order": order}
+        given["impulse_s"] = impulse_s
+        if markov != "least_squares":
+            given["markov"] = markov
+        found.report(out, repeated("identify", logs, out, **given))
     return found
 
 

@@ -81,6 +81,16 @@ def quoted(*paths: Path) -> str:
     return shlex.join(map(str, paths))
 
 
+def repeated(verb: str, logs: Sequence[Path], out: Path, **options: object) -> str:
+    """Return the command that repeats a result; options that are None were not given."""
+    given = [
+        f"--{name.replace('_', '-')} {shlex.quote(str(value))}"
+        for name, value in options.items()
+        if value is not None
+    ]
+    return " ".join([f"levid {verb} {same_logs(logs)}", *given, f"--out {quoted(out)}"])
+
+
 def same_logs(logs: Sequence[Path]) -> str:
     """Return logs quoted for a shell; all logs of a folder become one pattern."""
     if len(logs) <= _MOST_NAMED:

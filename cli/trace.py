@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..api.value_with_interval import value_with_interval
-from .output_folder_check import claimed_folder, naming_options, quoted, same_logs
+from .output_folder_check import claimed_folder, naming_options, quoted, repeated, same_logs
 from .path_types import FOLDER, LOG, MODEL
 from .progress import progress, say
 
@@ -134,7 +134,7 @@ def trace_logs(
         )
         report("report", 0.95)
         try:
-            found.report(out)
+            found.report(out, repeated("trace", logs, out, model=model))
         except Exception as error:  # noqa: BLE001 - raised after the results are printed
             return Traced(found, error)
     return Traced(found)

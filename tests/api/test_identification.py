@@ -108,9 +108,9 @@ def test_report_and_results_are_written(found: levid.Identification, tmp_path: P
     assert found.to_json()["report"] == str(page)
     found.save(tmp_path / "saved")
     assert {p.name for p in (tmp_path / "saved").iterdir()} == {
-        *("model.yaml", "identification.json", "identified.mat"),
+        *("model.yaml", "result.json", "identified.mat"),
     }
-    saved = json.loads((tmp_path / "saved" / "identification.json").read_text())
+    saved = json.loads((tmp_path / "saved" / "result.json").read_text())
     assert saved == found.to_json()
     (tmp_path / "file").write_text("")
     with pytest.raises(levid.ConfigError, match="expected a folder, found a file"):

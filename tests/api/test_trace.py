@@ -86,7 +86,7 @@ def test_json_equals_that_of_the_command(
     assert {**own, **paths} == {**json.loads(out), **paths}
     assert load_model(tmp_path / "own" / "model.yaml").effects
     traced.save(tmp_path / "saved")
-    saved = json.loads((tmp_path / "saved" / "trace.json").read_text())
+    saved = json.loads((tmp_path / "saved" / "result.json").read_text())
     assert saved["effects"] == own["effects"]
 
 

@@ -1,0 +1,25 @@
+"""Save the result of identify or trace as result.json, the object that --json prints."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+RESULT = "result.json"
+
+
+def with_origin(command: str, logs: Sequence[Path], plain: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a result with its `command` and the absolute paths of its `logs`.
+
+    `levid compare` and `levid list` read them.
+    """
+    return {**plain, "command": command, "logs": [str(log.resolve()) for log in logs]}
+
+
+def save_result(folder: Path, whole: Mapping[str, Any]) -> None:
+    """Write folder/result.json; raises OSError."""
+    from ..report.plotting.atomic_write import replace_text
+
+    replace_text(folder / RESULT, json.dumps(whole) + "\n")

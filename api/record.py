@@ -179,6 +179,19 @@ class Record:
 
         return to_arrow([self], columns, with_record=False)
 
+    def export(self, path: str | Path, columns: Iterable[str] | None = None) -> Path:
+        """Write the rows to a .csv, .parquet, .mat or .npz file with units; return its path.
+
+        The memory does not grow with the log.
+
+        Raises:
+            LogError: a column does not exist, the file exists, or a package is missing.
+        """
+        from ..log.exporting.export_log import ExportOptions, export_log
+
+        export_log(self.path, path, ExportOptions(columns=tuple(columns or ())))
+        return Path(path)
+
     def plot(self, columns: Iterable[str] | None = None) -> Figure:
         """Draw signals over time; default: inputs, outputs and excitation."""
         from .signal_plot import signal_plot

@@ -255,6 +255,21 @@ class Session:
 
         return to_arrow(self.records, columns)
 
+    def export(
+        self,
+        folder: str | Path,
+        kind: Literal["csv", "parquet", "mat", "npz"] = "parquet",
+        columns: Iterable[str] | None = None,
+    ) -> tuple[Path, ...]:
+        """Write each record to a file of a folder, with units; return the paths.
+
+        Raises:
+            LogError: a column does not exist, a file exists, or a package is missing.
+        """
+        out, chosen = Path(folder), None if columns is None else tuple(columns)
+        out.mkdir(parents=True, exist_ok=True)
+        return tuple(r.export(out / f"{r.name}.{kind}", chosen) for r in self.records)
+
     def identify(
         self,
         model: ModelSource | None = None,

@@ -1,4 +1,4 @@
-"""Convert figures to reproducible SVG text with the colours of the page's theme."""
+"""Convert figures to reproducible SVG text with the page's colours, and to interactive charts."""
 
 from __future__ import annotations
 
@@ -9,17 +9,22 @@ from html import escape
 
 from matplotlib.figure import Figure
 
+from .chart import Chart
+from .chart_from_figure import chart_of
 from .style import COLOURS, PAGE, Sheet, drawing
+from .svg_size import smaller_svg
 
-# The layout uses the metrics of DejaVu Sans, which is wider than nearly every other font: labels
-# fit with the reader's fonts.
-_FONTS = "'DejaVu Sans', Verdana, system-ui, sans-serif"
+class Svg(str):
+    """SVG text of a figure; `chart` is its interactive form, None if it has none."""
+
+    chart: Chart | None = None
 
 
 @dataclass(frozen=True)
 class Picture:
     """A figure of the page: file name without ending, SVG, texts.
 
+    The page shows the SVG, and over it the chart if the SVG is of to_svg and has one.
     `alt` is the alternative text, `caption` the caption, `paper` the corresponding figure of the
     paper ('Fig. 9'), if any.
     """
@@ -31,12 +36,17 @@ class Picture:
     paper: str = ""
 
     @property
+    def chart(self) -> Chart | None:
+        """The figure's interactive form, None without."""
+        return self.svg.chart if isinstance(self.svg, Svg) else None
+
+    @property
     def inline(self) -> str:
         """The SVG element with colours as CSS variables and ids unique on the page."""
         body = self.svg[self.svg.index("<svg") :]
         body = re.sub(r'\bid="', f'id="{self.name}-', body)
         body = re.sub(r'(href="#|url\(#)', rf"\g<1>{self.name}-", body)
-        body = re.sub(r"\b(fill|stroke): (#[0-9a-f]{6})", _variable, body)
+        body = re.sub(r"\b(fill|stroke): ?(#[0-9a-f]{6})", _variable, body)
         label = escape(self.alt, quote=True)
         return body.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
 
@@ -44,33 +54,20 @@ class Picture:
 _ROLES = {colour.light: colour.role for colour in COLOURS}
 
 
-def to_svg(figure: Figure, sheet: Sheet = PAGE) -> str:
-    """Return a figure as an SVG file's text, without date, and with coordinates to 0.01 points."""
+def to_svg(figure: Figure, sheet: Sheet = PAGE) -> Svg:
+    """Return a figure as an SVG file's text, without date, and with coordinates to 0.1 points.
+
+    Its `chart` is derived from the same lines, bands and marks.
+    """
     with drawing(sheet):
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
-    text = re.sub(r'\bd="([^"]*)"', _shorter_path, text)
-    text = re.sub(r'\b(x|y|width|height)="(-?\d+\.\d{3,})"', _shorter_attribute, text)
-    return text.replace("'DejaVu Sans'", _FONTS)
+        chart = chart_of(figure)
+    svg = Svg(smaller_svg(buffer.getvalue()))
+    svg.chart = chart
+    return svg
 
 
 def _variable(match: re.Match[str]) -> str:
     what, value = match.groups()
-    return f"{what}: var(--{_ROLES[value]})" if value in _ROLES else match.group()
-
-
-def _shorter_path(match: re.Match[str]) -> str:
-    numbers = re.sub(r"-?\d+\.\d{3,}", lambda n: _short(n.group()), match.group(1))
-    return f'd="{" ".join(numbers.split())}"'
-
-
-def _shorter_attribute(match: re.Match[str]) -> str:
-    return f'{match.group(1)}="{_short(match.group(2))}"'
-
-
-def _short(number: str) -> str:
-    text = f"{float(number):.2f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+    return f"{what}:var(--{_ROLES[value]})" if value in _ROLES else match.group()

@@ -1,7 +1,13 @@
-"""Write a self-contained HTML report page: inline figures, no network, no script, dark mode."""
+"""Write a self-contained HTML report page: static figures, interactive charts over them, no network.
+
+The page is complete without JavaScript. Its own scripts are the only ones that its content
+security policy allows.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,13 +15,22 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from ...config.version import __version__
 from .atomic_write import replace_text
+from .chart_encoding import encode_charts
 from .figure_to_svg import Picture
+from .min_max_bins import embeds_all_samples
 from .style import COLOURS
+
+MOST_BYTES = 1_500_000
+"""Largest page without `all_samples`, if its static part and its shortest charts permit."""
+_CHART_FILES = ("vendor/uPlot.iife.min.js", "chart.js")
+_LICENCE_FILE = "vendor/uPlot-LICENSE.txt"
+_STYLE_FILES = ("vendor/uPlot.min.css", "chart.css")
 
 Verdict = Literal["good", "bad", "none", "doubt"]
 """Rating of a number: good, bad, neither, or not reliable."""
@@ -111,12 +126,48 @@ def _remove_surplus(figures: Path, names: Sequence[str]) -> None:
 
 
 def render(title: str, sections: Sequence[Section]) -> str:
-    """Return the page's HTML; all text is escaped, the pictures' SVG is inserted unchanged."""
-    return (
-        _environment()
-        .get_template("page.html")
-        .render(title=title, sections=sections, colours=COLOURS, version=__version__)
-    )
+    """Return the page's HTML; all text is escaped, the pictures' SVG is inserted unchanged.
+
+    Charts have the resolution that MOST_BYTES allow, or all samples inside `all_samples`.
+    """
+    charts = {
+        part.name: part.chart
+        for section in sections
+        for part in section.parts
+        if isinstance(part, Picture) and part.chart is not None
+    }
+    template = _environment().get_template("page.html")
+    facts = {"title": title, "sections": sections, "colours": COLOURS, "version": __version__}
+    scripts = [_file(name) for name in _CHART_FILES] if charts else []
+    if scripts:  # the licence asks for its text in every copy
+        scripts[0] = f"/*!\n{_file(_LICENCE_FILE)}\n*/\n{scripts[0]}"
+    facts |= {
+        "scripts": [Markup(script) for script in scripts],
+        "styles": [Markup(_file(name)) for name in _STYLE_FILES] if charts else [],
+        "policy": Markup(_content_security_policy(scripts)),
+    }
+    bare = template.render(**facts, data=dict.fromkeys(charts, ""))
+    room = np.inf if embeds_all_samples() else MOST_BYTES - len(bare.encode())
+    data = dict(zip(charts, encode_charts(list(charts.values()), room), strict=True))
+    return template.render(**facts, data={name: Markup(text) for name, text in data.items()})
+
+
+def _content_security_policy(scripts: Sequence[str]) -> str:
+    """Return a policy that allows the page's own scripts, its styles, and no network."""
+    hashes = [
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
+    ]
+    allowed = " ".join(f"'sha256-{text}'" for text in hashes) or "'none'"
+    return f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
+
+
+@cache
+def _file(name: str) -> str:
+    """Return a file of the charts; "</" would end the element that it is put into."""
+    text = (Path(__file__).parent / name).read_text(encoding="utf-8").strip()
+    if "</" in text:
+        raise ValueError(f"{name}: expected no '</', which ends the page's script; found one")
+    return text
 
 
 @cache

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from .min_max_bins import Samples, attach, min_max_bins
 from .style import LineStyle
 
 Array = NDArray[np.float64]
@@ -16,11 +17,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Envelope:
-    """Minimum and maximum of a signal in bins: t, low, high (B,); NaN where it is missing."""
+    """Minimum and maximum of a signal in bins: t, low, high (B,); NaN where it is missing.
+
+    `samples` is the same signal in full, or in finer bins, for interactive charts.
+    """
 
     t: Array
     low: Array
     high: Array
+    samples: Samples = field(default=(), repr=False)
 
     @property
     def is_line(self) -> bool:
@@ -28,22 +33,31 @@ class Envelope:
         return bool(np.array_equal(self.low, self.high, equal_nan=True))
 
 
-def envelope(t: NDArray[np.floating], x: NDArray[np.floating], bins: int) -> Envelope:
+def envelope(
+    t: NDArray[np.floating],
+    x: NDArray[np.floating],
+    bins: int,
+    *,
+    most: int | None = None,
+    keep: Sequence[tuple[int, int]] = (),
+) -> Envelope:
     """Return minimum and maximum of x (n,), or of all columns of (n, k), in bins of equal count.
 
     NaN and infinite samples are ignored; a bin without other samples is NaN. A signal of up to
-    `bins` samples is returned unchanged.
+    `bins` samples is returned unchanged. `most` and `keep` are those of min_max_bins.
     """
     x = np.where(np.isfinite(x), x, np.nan)
     low, high = (np.fmin.reduce(x, 1), np.fmax.reduce(x, 1)) if x.ndim > 1 else (x, x)
     n = len(low)
+    samples = min_max_bins(t, low, high, most=most, keep=keep)
     if n <= bins:
-        return Envelope(*(np.asarray(a, float) for a in (t, low, high)))
+        return Envelope(*(np.asarray(a, float) for a in (t, low, high)), samples)
     starts = np.linspace(0, n, bins, endpoint=False).astype(int)
     return Envelope(
         np.asarray(t[starts], float),
         np.asarray(np.fmin.reduceat(low, starts), float),
         np.asarray(np.fmax.reduceat(high, starts), float),
+        samples,
     )
 
 
@@ -71,6 +85,7 @@ def over_time(parts: Sequence[Envelope], bins: int) -> Envelope:
         np.insert(t, breaks, t[breaks - 1]),
         np.insert(low, breaks, nothing),
         np.insert(high, breaks, nothing),
+        tuple(run for part in parts for run in part.samples),
     )
 
 
@@ -78,10 +93,13 @@ def plot_envelope(
     ax: Axes, signal: Envelope, line: LineStyle, scale: float = 1.0, label: str = ""
 ) -> None:
     """Draw an envelope: as a line if bins hold single samples, else as a band with thin edges."""
+    samples = tuple(run.scaled(scale) for run in signal.samples)
     if signal.is_line:
-        ax.plot(signal.t, scale * signal.low, label=label, **line.keywords())
+        [drawn] = ax.plot(signal.t, scale * signal.low, label=label, **line.keywords())
+        if samples:
+            attach(drawn, samples)
         return
-    ax.fill_between(
+    band = ax.fill_between(
         signal.t,
         scale * signal.low,
         scale * signal.high,
@@ -92,3 +110,5 @@ def plot_envelope(
         zorder=line.zorder,
         label=label,
     )
+    if samples:
+        attach(band, samples)

@@ -130,7 +130,7 @@ def test_text_from_logs_is_escaped_everywhere():
 def test_colour_codes_in_text_are_not_replaced():
     inline = picture(title=NASTY).inline
     assert "#ffffff" in inline
-    assert "stroke: var(--blue)" in inline
+    assert "stroke:var(--blue)" in inline
 
 
 def test_every_figure_has_an_alternative_text():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from .full_option import full_option
 from .output_folder_check import logs_in, naming_out, quoted
 from .path_types import FOLDER, RIG, SESSION, SIM
 from .progress import progress, say
@@ -66,6 +67,7 @@ _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
     metavar="NOTE",
     help="A line on this flight, for its logs and `levid list`.",
 )
+@full_option
 def command(
     session: Path,
     rig_path: Path | None,
@@ -75,6 +77,7 @@ def command(
     if_gone: str | None,
     override: tuple[str, ...],
     note: str,
+    full: bool,
 ) -> int:
     """Fly SESSION.yaml; write one log per step and a report of the flight to --out.
 
@@ -112,7 +115,7 @@ def command(
     )
     if result.coil_check:
         say(result.coil_check)
-    return _after_landing(config, result, out)
+    return _after_landing(config, result, out, full)
 
 
 def fly_here(
@@ -194,7 +197,7 @@ def _on_daemon(
         raise
 
 
-def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> int:
+def _after_landing(config: SessionConfig, result: FlightResult, out: Path, full: bool) -> int:
     """Run the session's `then` commands or draw the flight; return the exit code."""
     from ..daemon.recording.post_processing import HandoverError, hand_over
     from ..report.session.session_page import session_report
@@ -220,7 +223,7 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path) -> in
         return 1 if failed else 0
     with progress("drawing the flight") as report:
         report("", 0.5)
-        page = session_report(result.logs, out / "report")
+        page = session_report(result.logs, out / "report", full=full)
     say(f"report: {page}")
     if excited:
         say(f"next: {next_command}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .full_option import full_option
 from .output_folder_check import claimed_folder, naming_options, older_results, repeated
 from .path_types import FOLDER, LOG, MODEL, SIM
 from .progress import progress, say
@@ -60,6 +61,7 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
 @click.option("--out", required=True, type=FOLDER, help="Folder of the report.")
 @click.option("--mat", is_flag=True, help="Also write OUT/identified.mat for MATLAB and Octave.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
+@full_option
 def command(
     logs: tuple[Path, ...],
     model: Path | None,
@@ -70,6 +72,7 @@ def command(
     out: Path,
     mat: bool,
     as_json: bool,
+    full: bool,
 ) -> int:
     """Identify the plant from the records in LOGS, at all beam positions.
 
@@ -85,8 +88,11 @@ def command(
       levid identify arm.mcap --out out/arm --json
       levid identify arm.mcap --order 6 --impulse-s 0.4 --out out/arm-6
     """
+    from ..report.plotting.min_max_bins import all_samples
+
     began = time.time()
-    found = identify_logs(logs, model, truth, out, order, impulse_s, markov)
+    with all_samples(full):
+        found = identify_logs(logs, model, truth, out, order, impulse_s, markov)
     if mat:
         found.write_mat(out)
     for old in older_results(out, _RESULTS, began):

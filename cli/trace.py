@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..api.value_with_interval import value_with_interval
+from .full_option import full_option
 from .output_folder_check import claimed_folder, naming_options, quoted, repeated, same_logs
 from .path_types import FOLDER, LOG, MODEL
 from .progress import progress, say
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     help="Scheduler of a dask.distributed cluster to use instead of local processes; its workers "
     "must be able to read the logs.",
 )
+@full_option
 def command(
     logs: tuple[Path, ...],
     model: Path | None,
@@ -50,6 +52,7 @@ def command(
     as_json: bool,
     workers: int | None,
     dask: str | None,
+    full: bool,
 ) -> int:
     """Find the physical effects that LOGS show and the declared model lacks.
 
@@ -73,7 +76,10 @@ def command(
         raise click.UsageError("--dask needs the package distributed: pip install 'levid[cluster]'")
     if dask is not None:
         say(f"tracing on the cluster at {dask}")
-    traced = trace_logs(logs, model, out, workers, dask)
+    from ..report.plotting.min_max_bins import all_samples
+
+    with all_samples(full):
+        traced = trace_logs(logs, model, out, workers, dask)
     found = traced.found
     if as_json:
         click.echo(json.dumps(found.to_json()))

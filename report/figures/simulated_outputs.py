@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from ..plotting.labelled_frequency_responses import symbol
+from ..plotting.min_max_bins import attach, min_max_bins
 from ..plotting.min_max_envelope import envelope, plot_envelope
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import PAGE, TRUTH, LineStyle, Sheet, colour, drawing, engineering
@@ -92,10 +93,13 @@ def _draw_output(ax: Axes, run: Simulated, i: int) -> None:
     measured = envelope(run.t_s, run.measured[:, i], _BINS)
     plot_envelope(ax, measured, _MEASURED, factor)
     if not measured.is_line:  # the simulation's line would hide a thinner band
-        ax.plot(measured.t, factor * (measured.low + measured.high) / 2, **_MEASURED.keywords())
+        middle = factor * (measured.low + measured.high) / 2
+        [drawn] = ax.plot(measured.t, middle, **_MEASURED.keywords())
+        attach(drawn, ())  # the chart has the band
     thinned = slice(None, None, -(-len(run.t_s) // _POINTS))
-    simulated = factor * run.simulated[thinned, i]
-    ax.plot(run.t_s[thinned], simulated, **_SIMULATED.keywords())
+    simulated = factor * run.simulated[:, i]
+    [drawn] = ax.plot(run.t_s[thinned], simulated[thinned], **_SIMULATED.keywords())
+    attach(drawn, min_max_bins(run.t_s, simulated, simulated))
     ax.set_title(f"{symbol(run.names[i])}, fit {run.fit_percent[i]:.2f} %")
     ax.set_title(prefix + _shown(run.units[i]), loc="right", fontweight="normal")
     known = factor * run.measured[:, i][np.isfinite(run.measured[:, i])]

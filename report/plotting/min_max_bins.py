@@ -6,11 +6,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from matplotlib.artist import Artist
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:  # the commands import this module before they need matplotlib
+    from matplotlib.artist import Artist
 
 Array = NDArray[np.float64]
 

@@ -16,12 +16,16 @@ from ...config.rig import RigConfig
 from ...daemon.control.faults import FAULTS, Fault
 from ...daemon.control.states import State
 from ...log.reader import Log, read_log
+from ..plotting.min_max_bins import MOST_BINS
 from ..plotting.min_max_envelope import Envelope, envelope, over_time
+from .event_windows import event_windows
 from .pose_during_beam_moves import BeamRecord, joined
 
 Array = NDArray[np.float64]
 
 _FINE_BINS = 1024
+_EVENT_ROWS = 12_000
+"""Rows of all logs around events that charts show sample by sample."""
 _COILS = "coil_excitation_n"
 _BEAM_STILL_M = 1e-3
 """Range below which the beam counts as still if something else moves."""
@@ -128,7 +132,11 @@ def read_session(paths: Sequence[Path], bins: int = 700) -> Session:
     """
     if not paths:
         raise ValueError("expected at least one log of the session, found none")
-    return _assembled([_reduced(read_log(path)) for path in paths], bins)
+    sizes = [path.stat().st_size if path.exists() else 0 for path in paths]
+    share = [max(int(MOST_BINS * size / max(sum(sizes), 1)), _FINE_BINS) for size in sizes]
+    events = _EVENT_ROWS // len(paths)
+    parts = [_reduced(read_log(p), most, events) for p, most in zip(paths, share, strict=True)]
+    return _assembled(parts, bins)
 
 
 @dataclass(frozen=True)
@@ -196,10 +204,16 @@ def _gap_limit(log: Log) -> float | None:
         return None
 
 
-def _reduced(log: Log) -> _Part:
+def _reduced(log: Log, most_bins: int, event_rows: int) -> _Part:
+    """Reduce a log; charts get its signals in at most `most_bins` bins, and rows around events."""
     names = log.rows.dtype.names or ()
     t = np.asarray(log.rows["time_s"], float) if "time_s" in names else _counted(log)
-    signals = {n: envelope(t, log.rows[n], _FINE_BINS) for n in DRAWN if n in names}
+    keep = event_windows(log.rows, log.rate_hz, event_rows)
+    signals = {
+        name: envelope(t, log.rows[name], _FINE_BINS, most=most_bins, keep=keep)
+        for name in DRAWN
+        if name in names
+    }
     step = _step(log, t)
     lateness, execution = (_column(log, n) for n in ("lateness_s", "execution_s"))
     return _Part(

@@ -22,6 +22,7 @@ from ..plotting.html_page import (
     write_report,
 )
 from ..plotting.labelled_frequency_responses import symbol
+from ..plotting.min_max_bins import all_samples
 from ..plotting.style import signed
 from .cycle_times import quantile_s, timing_histogram
 from .flight_data import Session, StepFlown, read_session
@@ -39,15 +40,22 @@ _TAKING_OFF = (
 )
 
 
-def session_report(log_paths: Sequence[Path], out_dir: Path) -> Path:
+def session_report(log_paths: Sequence[Path], out_dir: Path, *, full: bool = False) -> Path:
     """Write the report on a session from its logs, one per step; return the page's path.
+
+    The page has at most MOST_BYTES, and its charts minima and maxima of bins in long sessions;
+    `full` embeds every sample.
 
     Raises:
         LogError: a log cannot be read.
         ValueError: no log was given.
         OSError: the page cannot be written.
     """
-    session = read_session(log_paths)
+    with all_samples(full):
+        return _session_page(read_session(log_paths), out_dir)
+
+
+def _session_page(session: Session, out_dir: Path) -> Path:
     folder = session.steps[0].path.parent
     next_step = ("Fly a session that excites every input, then identify it.", "")
     if any(step.excited for step in session.steps):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -58,12 +60,16 @@ class Strict(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open, self.ids, self.references, self.scripts = [], [], [], 0
+        self.open, self.ids, self.references, self.scripts = [], [], [], []
+        self.policy = ""
 
     def handle_starttag(self, tag, attrs):
         if tag not in self.VOID:
             self.open.append(tag)
-        self.scripts += tag == "script"
+        if tag == "script":
+            self.scripts.append([dict(attrs).get("type", ""), ""])
+        if dict(attrs).get("http-equiv") == "Content-Security-Policy":
+            self.policy = dict(attrs)["content"]
         for name, value in attrs:
             if name == "id":
                 self.ids.append(value)
@@ -73,6 +79,10 @@ class Strict(HTMLParser):
     def handle_startendtag(self, tag, attrs):
         self.handle_starttag(tag, attrs)
         self.handle_endtag(tag)
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script":
+            self.scripts[-1][1] += data
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
@@ -100,12 +110,29 @@ def test_page_is_self_contained():
     """All references are within the page or to the figures beside it."""
     page = render("Title", sections())
     parser = parsed(page)
-    assert parser.scripts == 0
     assert all(r.startswith(("#", "figures/")) for r in parser.references)
     assert not re.search(r"@import|url\((?!#)", page)
-    # The only addresses are names of XML namespaces, which are not downloaded.
-    addresses = set(re.findall(r"https?://[^\s\"'<>]+", page))
-    assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+    # The only addresses are names of XML namespaces and uPlot's, none is downloaded.
+    addresses = set(re.findall(r"https?://[^\s\"'<>)]+", page))
+    namespaces = {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+    assert addresses <= namespaces | {"https://github.com/leeoniya/uPlot"}
+
+
+def test_content_security_policy_allows_the_scripts_of_the_page_only():
+    parser = parsed(render("Title", sections()))
+    assert "default-src 'none'" in parser.policy
+    allowed = set(re.findall(r"'sha256-([^']+)'", parser.policy))
+    run = [text for kind, text in parser.scripts if kind != "application/octet-stream"]
+    assert len(run) == 2
+    assert "MIT License" in run[0]
+    hashes = {base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in run}
+    assert hashes == allowed
+
+
+def test_page_without_charts_has_no_script():
+    parser = parsed(render("Title", sections()[:1]))
+    assert parser.scripts == []
+    assert "script-src 'none'" in parser.policy
 
 
 def test_ids_of_all_figures_are_unique():
@@ -121,7 +148,7 @@ def test_references_inside_a_figure_refer_to_its_own_parts():
 
 def test_text_from_logs_is_escaped_everywhere():
     page = render(NASTY, sections(NASTY, NASTY))
-    assert "<script" not in page
+    assert "<script>alert" not in page
     assert page.count("&lt;script&gt;") >= 8  # title twice, text, number, table, steps, figure ...
     assert "$\\alpha$" in page  # a name, not mathematics
     assert parsed(page).open == []

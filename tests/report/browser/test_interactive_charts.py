@@ -1,0 +1,286 @@
+"""Test report pages in a real browser: zoom, read values, hide curves, print, narrow screens."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from headless_browser import Page, browser
+
+from levid.report.commissioning.platform_drawing import Drawn, platform_drawing
+from levid.report.figures.bode import bode_magnitude
+from levid.report.plotting.figure_to_svg import Picture, to_svg
+from levid.report.plotting.html_page import Section, Steps, Table, Text, write_report
+from levid.report.plotting.labelled_frequency_responses import RIG_SIGNALS, Curve
+from levid.report.plotting.min_max_envelope import envelope, plot_envelope
+from levid.report.plotting.panel_grid import entry, new_grid
+from levid.report.plotting.style import PAGE, LineStyle, colour, drawing
+
+RATE_HZ = 1000.0
+T_S = 5.0 + np.arange(40_000) / RATE_HZ
+UP, DOWN = (np.random.default_rng(k).normal(0, 20.0, len(T_S)) for k in (1, 2))
+DOWN[7_777] = 321.0
+FREQ_HZ = np.geomspace(1.0, 100.0, 200)
+BLUE, ORANGE = LineStyle(colour("blue")), LineStyle(colour("vermillion"), (5.0, 1.6))
+
+
+def time_figure():
+    """Two signals of 40 s at 1 kHz in two panels, and one of them again in the second."""
+    with drawing():
+        grid = new_grid((2, 1), PAGE, 1.6, [entry("up", BLUE), entry("down", ORANGE)])
+        for ax, signals in zip(
+            grid.axes[:, 0], ([(UP, BLUE)], [(DOWN, ORANGE), (UP, BLUE)]), strict=True
+        ):
+            for values, line in signals:
+                plot_envelope(ax, envelope(T_S, values, 500), line)
+            ax.margins(x=0)
+            ax.set_title("µm", loc="right")
+        grid.axes[-1, 0].set_xlabel("time [s]")
+    return grid.figure
+
+
+def bode_figure():
+    response = np.zeros((len(FREQ_HZ), 3, 3), complex)
+    for k in range(3):
+        response[:, k, k] = 1e-2 / (1 - (FREQ_HZ / 8.0) ** 2 + 0.1j * FREQ_HZ / 8.0)
+    deviation = 0.05 * np.abs(response)
+    return bode_magnitude([Curve("left", BLUE, FREQ_HZ, response, deviation)], RIG_SIGNALS)
+
+
+def written(folder: Path) -> Path:
+    wide = ("a long heading of a column",) * 9
+    place = [Drawn(k, 0.1 * k, 0.0, "right") for k in range(3)]
+    pictures = (
+        Picture("time", to_svg(time_figure()), "two signals", "Two signals."),
+        Picture("bode", to_svg(bode_figure()), "a Bode diagram", "A Bode diagram."),
+        Picture("platform", to_svg(platform_drawing(place, place)), "platform", "No chart."),
+    )
+    sections = (
+        Section("Summary", (Text("word " * 60, "lead"), Text("x" * 300))),
+        Section("Figures", pictures),
+        Section("Tables", (Table("Wide", wide, (wide, wide)),)),
+        Section("Next", (Steps((("Do it.", "levid identify " + "/very/long" * 30),)),)),
+    )
+    return write_report(folder, "Title", sections)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("report"))
+
+
+@pytest.fixture(scope="module")
+def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with browser(tmp_path_factory.mktemp("profile")) as page:
+        yield page
+
+
+@pytest.fixture
+def tab(window: Page) -> Page:
+    window.command("Emulation.setEmulatedMedia", media="", features=[])
+    return window
+
+
+@pytest.fixture
+def page(tab: Page, report: Path) -> Page:
+    tab.open(report)
+    tab.wait_for("document.querySelectorAll('figure.live').length === 2")
+    tab.wait_for("document.querySelectorAll('#figure-time .u-over').length === 2")
+    tab.value("document.querySelector('#figure-time').scrollIntoView({block: 'center'})")
+    return tab
+
+
+def plot(page: Page, figure: str, panel: int) -> tuple[float, float, float, float]:
+    """Return left, top, width and height of a panel's plot in the window."""
+    box = page.value(
+        f"(() => {{ const r = document.querySelectorAll('#figure-{figure} .u-over')[{panel}]"
+        ".getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; })()"
+    )
+    left, top, width, height = box
+    return left, top, width, height
+
+
+def drag(page: Page, begin: float, end: float, figure="time", panel=0) -> None:
+    """Zoom between two shares of the width, and wait until it is drawn."""
+    left, top, width, height = plot(page, figure, panel)
+    page.drag(left + begin * width, top + height / 2, left + end * width, top + height / 2)
+    settle(page)
+
+
+def settle(page: Page) -> None:
+    page.value("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
+
+
+def point_at(page: Page, share: float, figure="time", panel=0) -> None:
+    left, top, width, height = plot(page, figure, panel)
+    page.move(left + share * width, top + height / 2)
+    settle(page)
+
+
+def readings(page: Page, figure="time", panel=0) -> tuple[float, list[float]]:
+    """Return the abscissa and the values that a panel's readout shows."""
+    at, values = page.value(
+        f"(() => {{ const box = document.querySelectorAll('#figure-{figure} .readout')[{panel}];"
+        "return [box.querySelector('.at').textContent,"
+        "[...box.querySelectorAll('.value')].map(v => v.textContent)]; })()"
+    )
+    return number(at), [number(value) for value in values]
+
+
+def number(text: str) -> float:
+    """Return the first number of a text such as '−1.25·10⁻³ mm'."""
+    plain = text.replace("−", "-").translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-"))
+    found = re.match(r"(-?[\d.]+)(?:·10(-?\d+))?", plain)
+    assert found, text
+    return float(found[1]) * 10.0 ** int(found[2] or 0)
+
+
+def resolution(page: Page) -> str:
+    return page.value("document.querySelector('#figure-time .resolution').textContent")
+
+
+def test_zooming_in_shows_every_sample_and_the_cursor_reads_it(page):
+    assert "minimum and maximum of" in resolution(page)
+    drag(page, 0.2, 0.4)
+    drag(page, 0.25, 0.35)
+    assert resolution(page) == "every sample"
+    point_at(page, 0.5)
+    t_s, (value,) = readings(page)
+    row = round((t_s - T_S[0]) * RATE_HZ)
+    assert 13.0 < t_s < 21.0
+    assert value == pytest.approx(UP[row], abs=2e-3)  # a step of 16 bits is 2.6e-3
+
+
+def test_panels_have_one_time_axis_and_one_cursor(page):
+    drag(page, 0.5, 0.53)
+    point_at(page, 0.5)
+    first, second = (readings(page, panel=k) for k in (0, 1))
+    assert first[0] == pytest.approx(second[0], abs=1.5 / RATE_HZ)
+    row = round((second[0] - T_S[0]) * RATE_HZ)
+    assert second[1] == pytest.approx([DOWN[row], UP[row]], abs=1e-2)
+    assert resolution(page) == "every sample"
+
+
+def test_whole_record_shows_the_largest_sample(page):
+    """A peak of one sample in 40 000 is in the minimum and maximum of its bin."""
+    left, top, width, height = plot(page, "time", 1)
+    highest = 0.0
+    for px in range(-3, 4):  # a bin is 1.4 pixels wide
+        page.move(left + 7_777 / len(T_S) * width + px, top + height / 2)
+        settle(page)
+        texts = page.value(
+            "[...document.querySelectorAll('#figure-time .readout')[1].querySelectorAll('.value')]"
+            ".map(v => v.textContent)"
+        )
+        highest = max(highest, *(number(text.split("… ")[1]) for text in texts))
+    assert highest == pytest.approx(321.0, abs=1e-2)
+
+
+@pytest.mark.parametrize("how", ["double click", "Escape", "button"])
+def test_zoom_is_reset(page, how):
+    drag(page, 0.5, 0.53)
+    assert resolution(page) == "every sample"
+    left, top, width, height = plot(page, "time", 0)
+    if how == "double click":
+        page.double_click(left + width / 2, top + height / 2)
+    elif how == "Escape":
+        page.value("document.querySelector('#figure-time .plot').focus()")
+        page.press("Escape")
+    else:
+        page.value("document.querySelector('#figure-time .reset').click()")
+    settle(page)
+    assert "minimum and maximum of" in resolution(page)
+    assert page.value("document.querySelector('#figure-time .reset').hidden")
+
+
+def test_wheel_zooms_with_control_only(page):
+    left, top, width, height = plot(page, "time", 0)
+    where = {"x": left + width / 2, "y": top + height / 2, "deltaX": 0, "deltaY": -100}
+    page.command("Input.dispatchMouseEvent", type="mouseWheel", modifiers=2, **where)
+    settle(page)
+    assert not page.value("document.querySelector('#figure-time .reset').hidden")
+
+
+def test_keys_zoom_and_read(page):
+    page.value("document.querySelector('#figure-time .plot').focus()")
+    for key in ("+", "+", "ArrowRight"):
+        page.press(key)
+    settle(page)
+    t_s, _ = readings(page)
+    assert T_S[0] < t_s < T_S[-1]
+    assert not page.value("document.querySelector('#figure-time .reset').hidden")
+
+
+def test_legend_entry_hides_its_curve_everywhere(page):
+    """No pixel of the curve's colour remains, and its value is not read."""
+    vermillion = "[...Array(d.length / 4).keys()].some(i => d[4*i] === 213 && d[4*i+1] === 94)"
+    seen = (
+        "(() => { const c = document.querySelectorAll('#figure-time canvas')[1];"
+        "const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        f"return {vermillion}; }})()"
+    )
+    assert page.value(seen)
+    button = "[...document.querySelectorAll('#figure-time button.entry')].find("
+    page.value(button + "b => b.textContent === 'down').click()")
+    settle(page)
+    assert not page.value(seen)
+    point_at(page, 0.5)
+    assert len(readings(page, panel=1)[1]) == 1
+    page.value(button + "b => b.textContent === 'down').click()")
+    settle(page)
+    assert page.value(seen)
+
+
+def test_bode_diagram_reads_magnitude_and_band(page):
+    page.value("document.querySelector('#figure-bode').scrollIntoView({block: 'center'})")
+    point_at(page, 0.25, "bode", 0)
+    freq_hz, (value,) = readings(page, "bode", 0)
+    row = int(np.argmin(np.abs(np.log(FREQ_HZ / freq_hz))))
+    ratio = FREQ_HZ[row] / 8.0
+    assert value == pytest.approx(abs(1e-2 / (1 - ratio**2 + 0.1j * ratio)), rel=1e-3)
+
+
+def test_page_is_readable_without_javascript(tab, report):
+    tab.open(report, script=False)
+    heights = tab.value(
+        "[...document.querySelectorAll('figure .wide > svg')]"
+        ".map(s => s.getBoundingClientRect().height)"
+    )
+    assert len(heights) == 3
+    assert min(heights) > 100
+    assert tab.value("document.querySelectorAll('.chart').length") == 0
+
+
+def test_print_shows_the_static_figures(page):
+    page.command("Emulation.setEmulatedMedia", media="print")
+    shown = page.value(
+        "['.wide', '.chart'].map(s => getComputedStyle(document.querySelector('#figure-time '"
+        " + s)).display)"
+    )
+    assert shown == ["block", "none"]
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_page_is_as_wide_as_the_window(tab, report, width):
+    tab.open(report, width)
+    tab.wait_for("document.querySelectorAll('figure.live').length > 0")
+    tab.value("scrollTo(0, document.body.scrollHeight)")
+    tab.wait_for("document.querySelectorAll('figure.live').length === 2")
+    assert tab.value("document.documentElement.scrollWidth") == width
+
+
+def test_dark_pages_have_dark_charts(tab, report):
+    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+    tab.command("Emulation.setEmulatedMedia", media="screen", features=dark)
+    tab.open(report)
+    tab.wait_for("document.querySelectorAll('#figure-time .u-over').length === 2")
+    settle(tab)
+    sky = (
+        "(() => { const c = document.querySelector('#figure-time canvas');"
+        "const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        "return [...Array(d.length / 4).keys()].some(i => d[4*i] === 75 && d[4*i+1] === 168); })()"
+    )
+    assert tab.value(sky)  # blue on dark pages is #4ba8e0

@@ -102,7 +102,6 @@ class Page:
 def browser(profile: Path) -> Iterator[Page]:
     """Start a browser with an empty profile; end it after the `with` body."""
     to_child, from_us = os.pipe()
-    from_child, to_us = None, None
     from_child, to_us = os.pipe()
 
     def place() -> None:  # the browser reads from 3 and writes to 4
@@ -116,13 +115,13 @@ def browser(profile: Path) -> Iterator[Page]:
             "--remote-debugging-pipe", "--no-first-run", f"--user-data-dir={profile}",
             "about:blank",
         ],
-        preexec_fn=place, pass_fds=(3, 4),
+        preexec_fn=place, pass_fds=(3, 4),  # noqa: PLW1509 - it only duplicates two descriptors
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(to_child)
     os.close(to_us)
     try:
-        with open(from_us, "wb", buffering=0) as sending, open(from_child, "rb") as receiving:
+        with os.fdopen(from_us, "wb", 0) as sending, os.fdopen(from_child, "rb") as receiving:
             yield _first_page(sending, receiving)
     finally:
         process.kill()

@@ -2,7 +2,7 @@
 // <figure>, encoded by chart_encoding.py. Needs uPlot. Without JavaScript the SVG remains.
 "use strict";
 (() => {
-  const NARROW_PX = 700, FONT = "11px system-ui, sans-serif", Y_AXIS_PX = 54, PER_LEVEL = 4;
+  const NARROW_PX = 700, FONT = "11px system-ui, sans-serif", Y_AXIS_PX = 54, Y_LABEL_PX = 16, PER_LEVEL = 2;
   const POINTS_PER_PX = 2, ALL_POINTS = 3000, WHEEL = 0.0025, ZOOM_KEY = 1.5, MARKERS_MOST = 4000;
 
   // ---- colours, numbers -------------------------------------------------------------------
@@ -41,7 +41,7 @@
     return new Uint8Array(await new Response(stream).arrayBuffer());
   };
 
-  /** Decode a chart: each series gets `level`, [{x, low, high}] of ever longer bins. */
+  /** Decode a chart: each series gets x, low, high, and `levels` of ever longer bins when needed. */
   const decode = (bytes) => {
     const view = new DataView(bytes.buffer);
     const length = view.getUint32(0, true);
@@ -76,7 +76,8 @@
         });
         Object.assign(series, joined(parts));
         series.step = Math.max(0, ...series.runs.map((run) => run.step));
-        series.levels = [{ x: series.x, low: series.low, high: series.high, factor: 1 }];
+        series.least = Math.min(...series.starts.map(([, count]) => count));
+        series.levels = [];
       }
     return chart;
   };
@@ -103,30 +104,36 @@
     return a;
   };
 
-  /** Return the next level: minimum and maximum of PER_LEVEL bins. */
-  const coarser = ({ x, low, high, factor }) => {
-    const n = Math.ceil(x.length / PER_LEVEL);
-    const out = { x: new Float64Array(n), low: new Float64Array(n), high: new Float64Array(n), factor: factor * PER_LEVEL };
-    for (let k = 0; k < n; k++) {
-      const a = k * PER_LEVEL, b = Math.min(a + PER_LEVEL, x.length);
-      let least = NaN, most = NaN;
-      for (let i = a; i < b; i++) {
-        if (!(low[i] >= least)) least = Number.isNaN(low[i]) ? least : low[i];
-        if (!(high[i] <= most)) most = Number.isNaN(high[i]) ? most : high[i];
+  /** Return the level whose bins hold at least `samples` samples: shorter bins are joined. */
+  const level = (series, samples) => {
+    if (samples <= series.least) return { x: series.x, low: series.low, high: series.high, samples };
+    const x = [], low = [], high = [];
+    series.starts.forEach(([first, count], k) => {
+      const end = series.starts[k + 1]?.[0] ?? series.x.length, factor = Math.max(1, samples / count);
+      for (let i = first; i < end; i += factor) {
+        const b = Math.min(i + factor, end);
+        let least = NaN, most = NaN;
+        for (let j = i; j < b; j++) {
+          if (Number.isNaN(series.low[j])) continue;
+          if (!(series.low[j] >= least)) least = series.low[j];
+          if (!(series.high[j] <= most)) most = series.high[j];
+        }
+        x.push(series.x[i]); low.push(least); high.push(most);
+        // A missing value at a run's end is a gap, which remains.
+        if (factor > 1 && b === end && Number.isNaN(series.low[end - 1]) && !Number.isNaN(least)) { x.push(series.x[end - 1]); low.push(NaN); high.push(NaN); }
       }
-      out.x[k] = x[a]; out.low[k] = least; out.high[k] = most;
-    }
-    return out;
+    });
+    return { x: Float64Array.from(x), low: Float64Array.from(low), high: Float64Array.from(high), samples };
   };
 
   /** Return the finest level with few enough points between two abscissae, and their rows. */
   const visible = (series, from, to, px) => {
-    const most = Math.max(POINTS_PER_PX * px, series.levels[0].x.length <= ALL_POINTS ? ALL_POINTS : 0);
+    const most = Math.max(POINTS_PER_PX * px, series.x.length <= ALL_POINTS ? ALL_POINTS : 0);
     for (let k = 0; ; k++) {
-      const level = (series.levels[k] ??= coarser(series.levels[k - 1]));
-      const a = Math.max(search(level.x, from) - 1, 0);
-      const b = Math.min(search(level.x, to) + 1, level.x.length);
-      if (b - a <= most || series.kind !== "line" || level.x.length < 2 * PER_LEVEL) return { level, a, b };
+      const found = (series.levels[k] ??= level(series, series.least * PER_LEVEL ** k));
+      const a = Math.max(search(found.x, from) - 1, 0);
+      const b = Math.min(search(found.x, to) + 1, found.x.length);
+      if (b - a <= most || series.kind !== "line" || k > 28) return { level: found, a, b };
     }
   };
 
@@ -137,10 +144,10 @@
 
   const linearTicks = (min, max, most) => {
     const rough = (max - min) / Math.max(most, 1), unit = 10 ** Math.floor(Math.log10(rough));
-    const step = unit * [1, 2, 5, 10].find((m) => m * unit >= rough * 0.999);
+    const factor = [1, 2, 2.5, 5, 10].find((m) => m * unit >= rough * 0.999), step = unit * factor;
     const out = [];
     for (let k = Math.ceil(min / step - 1e-9); k * step <= max + 1e-9 * step; k++) out.push(k * step);
-    return { at: out, decimals: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
+    return { at: out, decimals: Math.max(0, -Math.floor(Math.log10(step) + 1e-9) + (factor === 2.5 ? 1 : 0)) };
   };
   const logTicks = (min, max, most) => {
     const decades = Math.log10(max / min);
@@ -222,6 +229,7 @@
       this.root = element("div", "panel", figure.grid);
       this.root.style.gridRow = panel.row + 1; this.root.style.gridColumn = panel.column + 1;
       const head = element("div", "panel-head", this.root);
+      if (panel.y.label) head.style.paddingLeft = `${Y_AXIS_PX + Y_LABEL_PX}px`;
       element("b", "", head, panel.title);
       if (panel.legend.length) figure.legendButtons(panel.legend, element("span", "legend", head));
       element("span", "unit", head, panel.right);
@@ -296,7 +304,7 @@
     }
 
     axis(axis, isX) {
-      const most = (u) => (isX ? Math.max(2, Math.min(8, u.over.clientWidth / 60 || this.width / 75)) : Math.max(2, Math.min(6, (u.over.clientHeight || this.panel.height) / 26)));
+      const most = (u) => (isX ? Math.max(2, Math.min(8, u.over.clientWidth / 60 || this.width / 75)) : Math.max(2, Math.min(6, (u.over.clientHeight || Math.max(this.panel.height, 112)) / 26)));
       let found = { at: [] };
       const shown = () => !isX || axis.labelled || (this.narrow && this.panel.series.length > 0);
       const label = isX ? (axis.label ? axis.label + (axis.unit ? ` [${axis.unit}]` : "") : "") : axis.label;
@@ -310,7 +318,7 @@
         splits: (u, _, min, max) => { found = bare ? { at: [] } : ticks(axis, min, max, most(u)); return found.at; },
         values: (u, splits) => splits.map((v) => (shown() ? tickText(found, isX, v) : "")),
         filter: (u, splits) => splits,
-        ...(label ? { label: isX && !shown() ? undefined : label, labelSize: isX ? (shown() ? 18 : 0) : 16, labelGap: 0 } : {}),
+        ...(label ? { label: isX && !shown() ? undefined : label, labelSize: isX ? (shown() ? 18 : 0) : Y_LABEL_PX, labelGap: 0 } : {}),
       };
     }
 
@@ -349,7 +357,7 @@
           const on = this.figure.shows(s.entry);
           if (this.u.series[k + 1].show !== on) this.u.setSeries(k + 1, { show: on }, false);
           if (s.kind === "line") {
-            const band = this.views.get(s).level.factor > 1 || this.coarse(s);
+            const band = this.samplesAt(s, (this.group.min + this.group.max) / 2).samples > 1;
             this.u.series[k + 1].width = band ? 0.7 : s.look.width;
           }
         });
@@ -360,14 +368,14 @@
       this.figure.status();
     }
 
-    /** Return the samples in a bin of the stored data at the middle of the view. */
-    countAt(s, x) {
+    /** Return how many samples, and how much time, a drawn bin of a series holds at an abscissa. */
+    samplesAt(s, x) {
       const row = Math.max(search(s.x, x) - 1, 0);
       let found = s.starts[0];
       for (const start of s.starts) if (start[0] <= row) found = start; else break;
-      return found;
+      const [, count, step] = found, samples = Math.max(count, this.views.get(s).level.samples);
+      return { samples, time: (step * samples) / count, stored: count };
     }
-    coarse(s) { return this.countAt(s, (this.group.min + this.group.max) / 2)[1] > 1; }
 
     resize() { this.u?.setSize({ width: this.width, height: this.height }); this.update(); }
     redraw() { this.u?.redraw(false); }
@@ -454,9 +462,9 @@
         element("span", "value", line, text);
       }
       this.box.hidden = lines.length === 0;
-      const left = this.u.valToPos(x, "x"), right = left > this.u.over.clientWidth / 2;
-      this.box.style.left = right ? "" : `${left + 10}px`;
-      this.box.style.right = right ? `${this.u.over.clientWidth - left + 10}px` : "";
+      const left = this.u.valToPos(x, "x"), whole = this.u.over.clientWidth, wide = this.box.offsetWidth;
+      const beside = left > whole / 2 ? left - 10 - wide : left + 10;
+      this.box.style.left = `${Math.max(0, Math.min(beside, whole - wide))}px`;
     }
 
     readings(x) {
@@ -466,7 +474,7 @@
         if (!figure.shows(s.entry)) continue;
         const { level } = this.views.get(s);
         let i = search(level.x, x);
-        const binned = level.factor > 1 || this.countAt(s, x)[1] > 1 || s.kind === "steps";
+        const binned = s.kind === "steps" || this.samplesAt(s, x).samples > 1;
         if (binned) i = level.x[i] === x ? i : i - 1;
         else if (i > 0 && (i === level.x.length || x - level.x[i - 1] < level.x[i] - x)) i -= 1;
         if (i < 0 || i >= level.x.length) continue;
@@ -475,7 +483,8 @@
         if (!panel.x.log && !binned && Math.abs(level.x[i] - x) > far) continue;
         const low = level.low[i], high = level.high[i];
         if (Number.isNaN(low)) continue;
-        const step = panel.y.log ? Math.abs(low) * (10 ** (s.step || 1e-4) - 1) : s.step;
+        // Digits beyond the stored step, or far below what the panel shows, say nothing.
+        const step = panel.y.log ? Math.abs(low) * Math.max(10 ** s.step - 1, 5e-4) : Math.max(s.step, (this.y.max - this.y.min) / 5000);
         const unit = panel.y.unit ? ` ${panel.y.unit}` : "";
         const entry = s.entry === null ? null : figure.chart.entries[s.entry];
         const text = low === high ? number(low, step) : `${number(low, step)} … ${number(high, step)}`;
@@ -634,18 +643,16 @@
       for (const panel of this.panels)
         for (const s of panel.panel.series) {
           if (s.kind !== "line" || !panel.views || (s.x.length <= ALL_POINTS && s.low === s.high)) continue;
-          const [, count, step] = panel.countAt(s, (panel.group.min + panel.group.max) / 2);
-          const { factor } = panel.views.get(s).level;
-          if (!longest || count * factor > longest.samples) longest = { samples: count * factor, time: step * factor, unit: panel.panel.x.unit, whole: count === 1 };
+          const found = panel.samplesAt(s, (panel.group.min + panel.group.max) / 2);
+          if (!longest || found.samples > longest.samples) longest = { ...found, unit: panel.panel.x.unit };
         }
       if (!longest) { this.resolution.textContent = ""; return; }
       const ms = longest.unit === "s" && longest.time < 1;
       const time = `${Number((ms ? 1e3 * longest.time : longest.time).toPrecision(3))} ${ms ? "ms" : longest.unit}`;
       this.resolution.textContent = longest.samples > 1
-        ? `minimum and maximum of ${longest.samples} samples (${time})${longest.samples > 1 && !longest.whole && this.finest(longest) ? ", finest stored" : ""}`
+        ? `minimum and maximum of ${longest.samples} samples${longest.time > 0 ? ` (${time})` : ""}${longest.samples === longest.stored ? ", the finest of this page" : ""}`
         : "every sample";
     }
-    finest(longest) { return longest.samples === Math.max(...this.panels.flatMap((p) => p.panel.series.flatMap((s) => s.starts.map((start) => start[1])))); }
   }
 
   // ---- the page ---------------------------------------------------------------------------

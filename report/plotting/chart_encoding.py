@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .chart import Axis, Chart, Entry, Look, Mark, Note, Panel, Rectangle, Segments, Series
-from .min_max_bins import Bins, Samples
+from .min_max_bins import Bins
 
 Array = NDArray[np.float64]
 JsonValue = dict[str, object]
@@ -28,22 +28,30 @@ _MISSING = 65_535
 _TEXT_BYTES_PER_VALUE = 2.2
 """Typical length of the text for one value of a noisy signal."""
 _SAME_STEP = 0.01
+_LEAST_BINS = 1000
+"""Bins of a signal below which it is not made coarser, as the static picture has as many."""
 
 
 def encode_charts(charts: Sequence[Chart], most_bytes: float = np.inf) -> list[str]:
     """Return the text of each chart, of `most_bytes` in all if bins can be made that coarse.
 
-    All signals get bins of equally many samples, a power of two.
+    All signals get bins of equally many samples, a power of two, but none fewer than 1000 bins.
     """
-    count = 1
-    while _values(charts, count) * _TEXT_BYTES_PER_VALUE > 2 * most_bytes:
+    count, coarsest = 1, _coarsest(charts)
+    while _values(charts, count) * _TEXT_BYTES_PER_VALUE > 2 * most_bytes and count < coarsest:
         count *= 2
     while True:
         texts = [encode(_coarser(chart, count)) for chart in charts]
-        can_shrink = _values(charts, 2 * count) < _values(charts, count)
-        if sum(map(len, texts)) <= most_bytes or not can_shrink:
+        if sum(map(len, texts)) <= most_bytes or count >= coarsest:
             return texts
         count *= 2
+
+
+def _coarsest(charts: Sequence[Chart]) -> int:
+    """Return the largest number of samples in a bin that is worth trying."""
+    signals = [s.samples for c in charts for p in c.panels for s in p.series]
+    longest = max((sum(len(r.t) * r.count for r in runs) for runs in signals), default=0)
+    return 1 << max(0, (longest // _LEAST_BINS).bit_length() - 1)
 
 
 def encode(chart: Chart) -> str:
@@ -58,14 +66,18 @@ def encode(chart: Chart) -> str:
 def _coarser(chart: Chart, count: int) -> Chart:
     """Return a chart whose bins hold at least `count` samples, except for those to be kept."""
     panels = (
-        replace(panel, series=tuple(replace(s, samples=_to(s.samples, count)) for s in panel.series))
+        replace(panel, series=tuple(_with_bins(series, count) for series in panel.series))
         for panel in chart.panels
     )
     return replace(chart, panels=tuple(panels))
 
 
-def _to(samples: Samples, count: int) -> Samples:
-    return tuple(run if run.kept else run.coarser(count // run.count) for run in samples)
+def _with_bins(series: Series, count: int) -> Series:
+    total = sum(len(run.t) * run.count for run in series.samples)
+    while count > 1 and total < _LEAST_BINS * count:  # a shorter signal than others
+        count //= 2
+    runs = tuple(run if run.kept else run.coarser(count // run.count) for run in series.samples)
+    return replace(series, samples=runs)
 
 
 def _values(charts: Sequence[Chart], count: int) -> int:
@@ -134,7 +146,10 @@ class _Encoder:
         known = np.isfinite(values)
         whole[known] = np.rint((values[known] - bottom) / step) if step > 0 else 0
         changes = np.diff(whole, prepend=0) % 65_536
-        self.arrays += [(changes >> 8).astype(np.uint8).tobytes(), changes.astype(np.uint8).tobytes()]
+        self.arrays += [
+            (changes >> 8).astype(np.uint8).tobytes(),
+            changes.astype(np.uint8).tobytes(),
+        ]
 
     def _abscissa(self, run: Bins) -> object:
         """Return [begin, step] of equal steps, or the number of an array that was added."""

@@ -18,7 +18,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis as DrawnAxis
 from matplotlib.collections import Collection, LineCollection, PolyCollection
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.patches import Patch, StepPatch
@@ -173,7 +173,7 @@ class _Reader:
             entry = self._match(lambda e, _: not e.area and e.look.colour == look.colour)
             line = replace(look, width=1.3 * _PX)
             return Series("line", self._label(entry), entry, line, samples) if samples else None
-        runs = []
+        runs: list[Bins] = []
         for path in band.get_paths():
             v = np.asarray(path.vertices, float)
             n = (len(v) - 3) // 2
@@ -267,7 +267,9 @@ class _Reader:
         ax, is_x = self._ax, axis is self._ax.xaxis
         low, high = ax.get_xlim() if is_x else ax.get_ylim()
         low, high, inverted = (high, low, True) if high < low else (low, high, False)
-        label, unit = _label_and_unit(axis.get_label_text() or (self._shared_label() if is_x else ""))
+        label, unit = _label_and_unit(
+            axis.get_label_text() or (self._shared_label() if is_x else "")
+        )
         log = self._log[0 if is_x else 1]
         ticks = () if log else _fixed_ticks(axis)
         if ticks and not unit:
@@ -290,8 +292,9 @@ class _Reader:
         own = (_role(line.get_color()), _dashes(line), str(line.get_marker()))
 
         def same(part: slice) -> Any:
-            return lambda _, h: isinstance(h, mlines.Line2D) and (
-                (_role(h.get_color()), _dashes(h), str(h.get_marker()))[part] == own[part]
+            return lambda _, h: (
+                isinstance(h, mlines.Line2D)
+                and ((_role(h.get_color()), _dashes(h), str(h.get_marker()))[part] == own[part])
             )
 
         exact = self._match(same(slice(0, 3)))
@@ -346,7 +349,9 @@ def _dashes(line: mlines.Line2D) -> tuple[float, ...]:
 def _line_look(line: mlines.Line2D) -> Look:
     marker = str(line.get_marker())
     marker = "" if marker in ("None", "none", " ", "") else marker
-    width = 0.0 if line.get_linestyle() in ("None", "none", " ", "") else float(line.get_linewidth())
+    width = (
+        0.0 if line.get_linestyle() in ("None", "none", " ", "") else float(line.get_linewidth())
+    )
     face = _role(line.get_markerfacecolor()) if marker else ""
     return Look(
         colour=_role(line.get_markeredgecolor() if marker and not width else line.get_color()),
@@ -360,7 +365,7 @@ def _line_look(line: mlines.Line2D) -> Look:
 
 
 def _patch_look(patch: Patch) -> Look:
-    filled = patch.get_fill() and patch.get_facecolor()[3] > 0
+    filled = bool(patch.get_fill()) and to_rgba(patch.get_facecolor())[3] > 0
     colour = patch.get_facecolor() if filled else patch.get_edgecolor()
     alpha = patch.get_alpha()
     width = 0.0 if filled else float(patch.get_linewidth()) * _PX

@@ -14,6 +14,7 @@ from .chart_from_figure import chart_of
 from .style import COLOURS, PAGE, Sheet, drawing
 from .svg_size import smaller_svg
 
+
 class Svg(str):
     """SVG text of a figure; `chart` is its interactive form, None if it has none."""
 

@@ -1,4 +1,4 @@
-"""Write a self-contained HTML report page: static figures, interactive charts over them, no network.
+"""Write a self-contained HTML report page: static figures with interactive charts over them.
 
 The page is complete without JavaScript. Its own scripts are the only ones that its content
 security policy allows.
@@ -130,18 +130,22 @@ def render(title: str, sections: Sequence[Section]) -> str:
 
     Charts have the resolution that MOST_BYTES allow, or all samples inside `all_samples`.
     """
-    charts = {
-        part.name: part.chart
-        for section in sections
-        for part in section.parts
-        if isinstance(part, Picture) and part.chart is not None
-    }
+    pictures = [part for s in sections for part in s.parts if isinstance(part, Picture)]
+    charts = {p.name: p.chart for p in pictures if p.chart is not None}
+    drawings, classes = _with_classes({p.name: p.inline for p in pictures})
     template = _environment().get_template("page.html")
-    facts = {"title": title, "sections": sections, "colours": COLOURS, "version": __version__}
+    facts: dict[str, object] = {
+        "title": title,
+        "sections": sections,
+        "colours": COLOURS,
+        "version": __version__,
+    }
     scripts = [_file(name) for name in _CHART_FILES] if charts else []
     if scripts:  # the licence asks for its text in every copy
         scripts[0] = f"/*!\n{_file(_LICENCE_FILE)}\n*/\n{scripts[0]}"
     facts |= {
+        "drawings": {name: Markup(svg) for name, svg in drawings.items()},
+        "classes": Markup(classes),
         "scripts": [Markup(script) for script in scripts],
         "styles": [Markup(_file(name)) for name in _STYLE_FILES] if charts else [],
         "policy": Markup(_content_security_policy(scripts)),
@@ -150,6 +154,17 @@ def render(title: str, sections: Sequence[Section]) -> str:
     room = np.inf if embeds_all_samples() else MOST_BYTES - len(bare.encode())
     data = dict(zip(charts, encode_charts(list(charts.values()), room), strict=True))
     return template.render(**facts, data={name: Markup(text) for name, text in data.items()})
+
+
+def _with_classes(drawings: dict[str, str]) -> tuple[dict[str, str], str]:
+    """Replace the styles of all figures by classes, which are much shorter; return their rules."""
+    names: dict[str, str] = {}
+
+    def named(style: re.Match[str]) -> str:
+        return f'class="s{names.setdefault(style[1], str(len(names)))}"'
+
+    short = {name: re.sub(r'\bstyle="([^"]*)"', named, svg) for name, svg in drawings.items()}
+    return short, "\n".join(f".s{number} {{ {style} }}" for style, number in names.items())
 
 
 def _content_security_policy(scripts: Sequence[str]) -> str:
@@ -181,7 +196,6 @@ def _environment() -> Environment:
     )
     environment.filters["kind"] = lambda part: type(part).__name__
     environment.filters["tied"] = _tied
-    environment.filters["svg"] = lambda picture: Markup(picture.inline)
     return environment
 
 

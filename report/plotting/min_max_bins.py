@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -79,9 +80,10 @@ def min_max_bins(
     for start, end in keep:
         inside[start:end] = True
     parts = []
-    for a, b in zip(cuts, cuts[1:], strict=False):
+    for a, b in pairwise(cuts):
         rows = slice(a, b)
-        run = Bins(*(np.asarray(x[rows], float) for x in (t, low, high)), 1, bool(inside[a]))
+        run_t, run_low, run_high = (np.asarray(x[rows], float) for x in (t, low, high))
+        run = Bins(run_t, run_low, run_high, 1, bool(inside[a]))
         parts.append(run if run.kept else run.coarser(count))
     return tuple(part for part in parts if len(part.t))
 

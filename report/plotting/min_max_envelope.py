@@ -51,7 +51,9 @@ def envelope(
     n = len(low)
     samples = min_max_bins(t, low, high, most=most, keep=keep)
     if n <= bins:
-        return Envelope(*(np.asarray(a, float) for a in (t, low, high)), samples)
+        return Envelope(
+            np.asarray(t, float), np.asarray(low, float), np.asarray(high, float), samples
+        )
     starts = np.linspace(0, n, bins, endpoint=False).astype(int)
     return Envelope(
         np.asarray(t[starts], float),

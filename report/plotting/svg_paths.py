@@ -1,4 +1,4 @@
-"""Shorten the paths of an SVG: relative steps in tenths of a point, no vertices that do not show."""
+"""Shorten the paths of an SVG: relative steps, and no vertices that do not show."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ Points = list[tuple[int, int]]
 
 _UNITS = 10
 """Steps in a point: a tenth of a point is a seventh of a pixel."""
-_TOLERANCE = 0.8
-"""Distance in steps by which a line may miss a vertex that is left out."""
+_TOLERANCE = 2.0
+"""Distance in steps by which a line may miss a vertex that is left out, as in style.py."""
 _SHORT = 8
 """Paths of up to this many vertices keep hundredths of a point."""
 

@@ -11,11 +11,15 @@ from .svg_paths import short_number, shorter_path
 _FONTS = "'DejaVu Sans', Verdana, system-ui, sans-serif"
 
 
+_LINE = re.compile(r'<path d="([^"]*)"((?: clip-path="[^"]*")? style="fill:none;[^"]*")/>')
+
+
 def smaller_svg(text: str) -> str:
     """Return an SVG with coordinates to 0.1 points, without what has no effect.
 
     Left out are metadata, comments, white space between elements, unused ids, groups without
-    attributes, styles that repeat a definition's, and vertices that do not show.
+    attributes, styles that repeat a definition's, and vertices that do not show. Grid lines of one
+    panel are one path.
     """
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
@@ -26,7 +30,7 @@ def smaller_svg(text: str) -> str:
     text = re.sub(r'style="([^"]*)"', lambda style: f'style="{_short_style(style[1])}"', text)
     text = _without_repeated_styles(text)
     text = _without_unused_ids(text)
-    text = _without_plain_groups(text)
+    text = _merged_lines(_without_plain_groups(text))
     return text.replace("<svg ", f'<svg font-family="{_FONTS}" ', 1).rstrip() + "\n"
 
 
@@ -68,3 +72,21 @@ def _without_plain_groups(text: str) -> str:
         return "" if tag[0] == "<g>" else tag[0]
 
     return re.sub(r"<g(?: [^>]*)?>|</g>", kept, text)
+
+
+def _merged_lines(text: str) -> str:
+    """Join opaque lines of one style between which there are only tick marks and texts."""
+    tokens = re.findall(r"(?s)<path [^>]*/>|<use [^>]*/>|<text .*?</text>|<[^>]*>|[^<]+", text)
+    out: list[str] = []
+    style, place = "", -1
+    for token in tokens:
+        line = _LINE.fullmatch(token)
+        if line is not None and "opacity" not in token and "dasharray" not in token:
+            if line[2] == style:
+                out[place] = out[place].replace('<path d="', f'<path d="{line[1]}', 1)
+                continue
+            style, place = line[2], len(out)
+        elif not token.startswith(("<use ", "<text ", "<defs", "</defs", "<path id=")):
+            style = ""
+        out.append(token)
+    return "".join(out)

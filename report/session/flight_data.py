@@ -24,7 +24,7 @@ from .pose_during_beam_moves import BeamRecord, joined
 Array = NDArray[np.float64]
 
 _FINE_BINS = 1024
-_EVENT_ROWS = 12_000
+_EVENT_ROWS = 6_000
 """Rows of all logs around events that charts show sample by sample."""
 _COILS = "coil_excitation_n"
 _BEAM_STILL_M = 1e-3

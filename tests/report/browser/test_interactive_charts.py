@@ -151,7 +151,7 @@ def test_zooming_in_shows_every_sample_and_the_cursor_reads_it(page):
     t_s, (value,) = readings(page)
     row = round((t_s - T_S[0]) * RATE_HZ)
     assert 13.0 < t_s < 21.0
-    assert value == pytest.approx(UP[row], abs=2e-3)  # a step of 16 bits is 2.6e-3
+    assert value == pytest.approx(UP[row], abs=6e-3)  # two decimals are shown
 
 
 def test_panels_have_one_time_axis_and_one_cursor(page):

@@ -51,6 +51,7 @@ _COMPUTE = (
 _WAIT = (
     "cli/watch/test_terminal_screen",
     "cli/watch/test_watch_app",
+    "report/browser",
     "report/session/test_session_page",
     "wire/can/test_local_bus",
     "wire/can/test_receive_thread",

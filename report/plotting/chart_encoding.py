@@ -3,7 +3,8 @@
 The text is deflated: a little-endian uint32 with the length of the JSON, the JSON, the arrays in
 the order in which the JSON names them. Times of equal steps are two numbers, other abscissae are
 float64. A value is a multiple of a step (1/65000 of the range in its bins, in decades on a
-logarithmic axis); values are stored as differences, high bytes first. chart.js decodes it.
+logarithmic axis); values are stored as differences, high bytes first. interactive/chart_data.js
+decodes the text.
 """
 
 from __future__ import annotations
@@ -130,7 +131,7 @@ class _Encoder:
         }
 
     def _run(self, run: Bins, log: bool) -> JsonValue:
-        # The arrays' order is the order in which chart.js reads them: x, low, high.
+        # The arrays' order is the order in which chart_data.js reads them: x, low, high.
         described: JsonValue = {"n": len(run.t), "count": run.count, "x": self._abscissa(run)}
         low, high = (_on_scale(v, log) for v in (run.low, run.high))
         two = not np.array_equal(low, high, equal_nan=True)

@@ -221,6 +221,7 @@ class _Reader:
         lines = tuple(
             (float(s[0][0]), float(s[0][1]), float(s[-1][0]), float(s[-1][1]))
             for s in drawn.get_segments()
+            if len(s)  # a missing value leaves an empty segment
         )
         entry = self._match(lambda e, _: not e.area and e.look.colour == look.colour)
         return Segments(lines, *self._shares(drawn.get_transform()), look, entry)

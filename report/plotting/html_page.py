@@ -28,9 +28,13 @@ from .style import COLOURS
 
 MOST_BYTES = 1_500_000
 """Largest page without `all_samples`, if its static part and its shortest charts permit."""
-_CHART_FILES = ("vendor/uPlot.iife.min.js", "chart.js")
+_CHART_FILES = (
+    *("colours_and_numbers.js", "chart_data.js", "ticks.js", "shared_axis.js"),
+    *("marker_shapes.js", "panel_view.js", "charts.js"),
+)
+_UPLOT_FILE = "vendor/uPlot.iife.min.js"
 _LICENCE_FILE = "vendor/uPlot-LICENSE.txt"
-_STYLE_FILES = ("vendor/uPlot.min.css", "chart.css")
+_STYLE_FILES = ("vendor/uPlot.min.css", "interactive/charts.css")
 
 Verdict = Literal["good", "bad", "none", "doubt"]
 """Rating of a number: good, bad, neither, or not reliable."""
@@ -140,9 +144,7 @@ def render(title: str, sections: Sequence[Section]) -> str:
         "colours": COLOURS,
         "version": __version__,
     }
-    scripts = [_file(name) for name in _CHART_FILES] if charts else []
-    if scripts:  # the licence asks for its text in every copy
-        scripts[0] = f"/*!\n{_file(_LICENCE_FILE)}\n*/\n{scripts[0]}"
+    scripts = _scripts() if charts else []
     facts |= {
         "drawings": {name: Markup(svg) for name, svg in drawings.items()},
         "classes": Markup(classes),
@@ -154,6 +156,15 @@ def render(title: str, sections: Sequence[Section]) -> str:
     room = np.inf if embeds_all_samples() else MOST_BYTES - len(bare.encode())
     data = dict(zip(charts, encode_charts(list(charts.values()), room), strict=True))
     return template.render(**facts, data={name: Markup(text) for name, text in data.items()})
+
+
+def _scripts() -> list[str]:
+    """Return uPlot with its licence, which asks for its text in every copy, and the charts."""
+    charts = "\n\n".join(_file(f"interactive/{name}") for name in _CHART_FILES)
+    return [
+        f"/*!\n{_file(_LICENCE_FILE)}\n*/\n{_file(_UPLOT_FILE)}",
+        f'(() => {{\n"use strict";\n{charts}\n}})();',
+    ]
 
 
 def _with_classes(drawings: dict[str, str]) -> tuple[dict[str, str], str]:

@@ -36,7 +36,7 @@ def chart(draw, rows=1, legend=()):
 
 
 def decoded(text):
-    """Return the described chart and abscissae, lower and upper values of each run, as chart.js."""
+    """Return the described chart, and each run's abscissae, lower and upper values."""
     raw = zlib.decompress(base64.b64decode(text))
     length = int.from_bytes(raw[:4], "little")
     described, at, arrays, curves = json.loads(raw[4 : 4 + length]), 4 + length, [], []

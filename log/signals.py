@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from enum import IntFlag
+from enum import IntEnum, IntFlag
 from typing import Literal
 
 import numpy as np
 
+from .cycle_codes import Fault, State
 from .errors import LogError
 
 Shape = Literal["scalar", "coil", "sensor"]
@@ -24,6 +25,8 @@ class Signal:
     type: str
     shape: Shape
     description: str
+    codes: type[IntEnum] | None = None
+    """Names of the values, written as constants before the field: viewers show them."""
 
 
 class Stale(IntFlag):
@@ -74,8 +77,8 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("rotor_ref_rad", "rad", "float32", "scalar", "reference of the rotor's angle"),
     Signal("lateness_s", "s", "float32", "scalar", "start of the cycle after its deadline"),
     Signal("execution_s", "s", "float32", "scalar", "time the cycle took"),
-    Signal("state", "1", "uint8", "scalar", "state of the loop, a code"),
-    Signal("fault", "1", "uint8", "scalar", "fault, a code; 0 is none"),
+    Signal("state", "1", "uint8", "scalar", "state of the loop, a code", State),
+    Signal("fault", "1", "uint8", "scalar", "fault, a code; 0 is none", Fault),
     Signal("saturated", "1", "uint8", "scalar", "number of coils at a limit"),
     Signal("skipped", "1", "uint8", "scalar", "periods skipped before this cycle, at most 255"),
     Signal("stale", "1", "uint8", "scalar", "what is an earlier cycle's, bits"),
@@ -120,7 +123,8 @@ def ros2msg(dtype: np.dtype[np.void], units: Mapping[str, str] | None = None) ->
     """Return the ros2msg definition of a record, one line per field: `type name  # [unit] meaning`.
 
     SIGNALS gives unit and meaning of known fields, `units` the unit of others. ROS 2's own message
-    files write units in brackets as well.
+    files write units in brackets as well. The names of a field's codes are constants in the lines
+    before it, such as `uint8 STATE_IDLE=1`; Foxglove shows a constant that precedes its field.
 
     Raises:
         LogError: ros2msg has no such name, type or shape of a field, or CDR places the field
@@ -128,6 +132,7 @@ def ros2msg(dtype: np.dtype[np.void], units: Mapping[str, str] | None = None) ->
     """
     known = {s.name: f"[{s.unit}] {s.description}" for s in SIGNALS}
     known |= {name: f"[{unit}]" for name, unit in (units or {}).items()}
+    codes = {s.name: s.codes for s in SIGNALS if s.codes is not None}
     lines = []
     for name, field, shape in _fields_of(dtype):
         if not _NAME.fullmatch(name):
@@ -142,6 +147,8 @@ def ros2msg(dtype: np.dtype[np.void], units: Mapping[str, str] | None = None) ->
         kind = "bool" if field.str == "|b1" else _ROS_TYPES[field.str[1:]]
         array = f"[{shape[0]}]" if shape else ""
         comment = f"  # {known[name]}" if name in known else ""
+        if name in codes and kind == "uint8":
+            lines += [f"uint8 {name.upper()}_{code.name}={code.value}" for code in codes[name]]
         lines.append(f"{kind}{array} {name}{comment}")
     text = "\n".join(lines) + "\n"
     if dtype_from_ros2msg(text) != dtype:

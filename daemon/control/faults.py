@@ -3,34 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
+from ...log.cycle_codes import Fault
 
-class Fault(IntEnum):
-    """Number the faults that end a flight, as in the log field `fault`."""
-
-    NONE = 0
-    READING = 1
-    GAP = 2
-    COMPUTATION = 3
-    BEAM = 4
-    DRIVER = 5
-    LATE = 6
-    SIMULATION = 7
-    STALE = 8
-    LINK = 9
-    AMPLIFIER = 10
-    SENSOR = 11
-    DRIVE = 12
-    STOPPED = 13
-    SUPERVISOR = 14
-    LOOP = 15
-    SELF_TEST = 16
-    SEQUENCE = 17
-    POSE = 18
-    VELOCITY = 19
-    HEAT = 20
-    COIL_CHECK = 21
+__all__ = ["FAULTS", "Fault", "FaultText", "FlightFault"]
 
 
 @dataclass(frozen=True)

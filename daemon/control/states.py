@@ -1,42 +1,16 @@
-"""States of the loop, as logged in every row, and the allowed transitions."""
+"""Allowed transitions between the states of the loop, and the states in flight."""
 
 from __future__ import annotations
 
-from enum import IntEnum
+from ...log.cycle_codes import State
+
+__all__ = ["IN_FLIGHT", "TRANSITIONS", "State", "may_become"]
 
 
-class State(IntEnum):
-    """Number the states of the loop, as in the log field `state`."""
+def may_become(state: State, other: State) -> bool:
+    """Return whether `other` is this state or an allowed successor."""
+    return other is state or other in TRANSITIONS[state]
 
-    OFF = 0
-    IDLE = 1
-    LEVITATING = 2
-    EXCITING = 3
-    MOVING = 4
-    LANDING = 5
-    FAULT = 6
-    SELF_TEST = 7
-
-    @property
-    def meaning(self) -> str:
-        """Meaning of the state as text."""
-        return _MEANING[self]
-
-    def may_become(self, other: State) -> bool:
-        """Return whether `other` is this state or an allowed successor."""
-        return other is self or other in TRANSITIONS[self]
-
-
-_MEANING = {
-    State.OFF: "not running",
-    State.IDLE: "zero force; readings are logged",
-    State.LEVITATING: "rising to the working point, or holding it",
-    State.EXCITING: "holding the working point during excitation",
-    State.MOVING: "holding the working point while the manipulator moves",
-    State.LANDING: "descending onto the stops",
-    State.FAULT: "zero force until the fault is cleared",
-    State.SELF_TEST: "zero force; the readings of all channels are checked",
-}
 
 IN_FLIGHT = frozenset({State.LEVITATING, State.EXCITING, State.MOVING, State.LANDING})
 """States in which the coils carry the platform."""

@@ -21,7 +21,7 @@ from ..control.flight_segment import Segment
 from ..control.landing import Landing, Motion
 from ..control.late_cycle_detector import Lateness
 from ..control.self_test import self_test
-from ..control.states import State
+from ..control.states import State, may_become
 from ..ipc.flight_segment_stream import Announced
 from ..ipc.memory_fences import acquire, release
 from ..ipc.row_ring import NO_LOG
@@ -270,7 +270,7 @@ class StateMachine:
 
     def _begin(self, segment: Segment) -> bool:
         """Pass a segment to the controller; fail if its state must not follow the present one."""
-        if not self.state.may_become(segment.state):
+        if not may_become(self.state, segment.state):
             self.fail(Fault.SEQUENCE, f"{segment.state.name} after {self.state.name}")
             return False
         if segment.engages:

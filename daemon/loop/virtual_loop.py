@@ -9,7 +9,7 @@ from ..control.control_cycle import Controller
 from ..control.exception_to_fault import fault_of
 from ..control.faults import Fault
 from ..control.flight_segment import Segment
-from ..control.states import State
+from ..control.states import State, may_become
 from ..ipc.row_ring import NO_LOG, Ring
 
 _BLOCK = 4096
@@ -45,7 +45,7 @@ class VirtualLoop:
         """
         stoppable = not segment.lands
         self.detail = ""
-        if not self._state.may_become(segment.state):
+        if not may_become(self._state, segment.state):
             self.detail = f"{segment.state.name} after {self._state.name}"
             return self._failed(Fault.SEQUENCE)
         self._state = segment.state

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mcap_ros2._dynamic import generate_dynamic
 
+from levid.log.cycle_codes import Fault, State
 from levid.log.errors import LogError
 from levid.log.signals import SIGNALS, cycle_dtype, dtype_from_ros2msg, ros2msg
 
@@ -41,10 +42,22 @@ def test_cycle_dtype_has_no_padding_and_round_trips_through_the_schema(coils, se
 
 
 def test_schema_has_unit_and_description_of_every_field():
-    lines = ros2msg(cycle_dtype(9, 9)).splitlines()
+    lines = [line for line in ros2msg(cycle_dtype(9, 9)).splitlines() if "=" not in line.split()[1]]
     assert len(lines) == len(SIGNALS)
     for line, signal in zip(lines, SIGNALS, strict=True):
         assert line.endswith(f"  # [{signal.unit}] {signal.description}")
+
+
+def test_names_of_codes_are_constants_directly_before_their_field():
+    text = ros2msg(cycle_dtype(9, 9))
+    lines = text.splitlines()
+    for field, codes in (("state", State), ("fault", Fault)):
+        at = next(k for k, line in enumerate(lines) if line.startswith(f"uint8 {field} "))
+        expected = [f"uint8 {field.upper()}_{code.name}={code.value}" for code in codes]
+        assert lines[at - len(expected) : at] == expected
+    independent = generate_dynamic("levid/msg/Cycle", text)["levid/msg/Cycle"]
+    assert independent is not None
+    assert "STATE_LEVITATING=2" in text
 
 
 def test_schema_of_other_fields_uses_their_units():

@@ -11,7 +11,7 @@ from levid.daemon.control.control_cycle import Controller
 from levid.daemon.control.faults import FAULTS, Fault
 from levid.daemon.control.flight_segment import idle_segment
 from levid.daemon.control.landing import Landing
-from levid.daemon.control.states import TRANSITIONS, State
+from levid.daemon.control.states import TRANSITIONS, State, may_become
 from levid.daemon.ipc.flight_segment_stream import Logged, SegmentFeeder, SegmentStream
 from levid.daemon.ipc.row_ring import Ring
 from levid.daemon.ipc.shared_memory import SharedMemory
@@ -173,7 +173,7 @@ def test_detail_of_any_length_comes_back() -> None:
 def test_every_state_can_end_in_a_fault_and_come_back() -> None:
     assert set(TRANSITIONS) == set(State)
     for state in State:
-        assert state.may_become(State.FAULT)
+        assert may_become(state, State.FAULT)
     # The only way out of a fault is through the self-test, the only way to fly through IDLE.
     assert TRANSITIONS[State.FAULT] == {State.SELF_TEST, State.OFF}
     assert [s for s in State if State.LEVITATING in TRANSITIONS[s] and s is not State.IDLE] == [

@@ -1,4 +1,4 @@
-"""Schema of RIG.yaml: real-time settings, access rights, recording and self-test of the daemon."""
+"""Schema of RIG.yaml: real-time settings, access, recording, live view, self-test of the daemon."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from .base import Positive, Strict
 
 Cpu = Annotated[int, Field(ge=0, le=4095)]
+Port = Annotated[int, Field(ge=1, le=65_535)]
 Id = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=0)]
 
 
@@ -34,7 +35,7 @@ class Service(Strict):
     client_gone: Literal["go_on", "land"] = "go_on"
     supervisor_gone: Literal["zero", "land"] = "land"
     supervisor_s: Annotated[float, Field(ge=0.05, le=60.0)] = 1.0
-    metrics_port: Annotated[int, Field(ge=1, le=65_535)] | None = None
+    metrics_port: Port | None = None
     loop_s: Annotated[float, Field(ge=0.05, le=60.0)] = 1.0
 
 
@@ -59,6 +60,28 @@ class Recording(Strict):
                     f"{key}: expected the key root beside it, the folder of all logs, found none: "
                     "levid deletes logs in that folder only"
                 )
+        return self
+
+
+class Live(Strict):
+    """Live view on 127.0.0.1: a stream for Foxglove and PlotJuggler, and a page for the browser.
+
+    There is none without this section. `docs/live.md` describes both and who may use them.
+    """
+
+    port: Port = 8765
+    page_port: Port = 8080
+    rate_hz: Annotated[float, Field(ge=1.0, le=200.0)] = 50.0
+    control: bool = False
+    origins: tuple[Annotated[str, Field(min_length=1)], ...] = (
+        "https://app.foxglove.dev",
+        "file://",
+    )
+
+    @model_validator(mode="after")
+    def _two_ports(self) -> Self:
+        if self.port == self.page_port:
+            raise ValueError(f"expected different port and page_port, found {self.port} twice")
         return self
 
 

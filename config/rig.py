@@ -21,7 +21,7 @@ from pydantic_core import PydanticKnownError
 from .backends import ROLES, bus_schema, role_options
 from .base import ConfigError, Finite, NonNegative, Positive, Strict, load_yaml
 from .buses import Bus, CanBus, RoleOptions, SerialBus
-from .daemon_settings import Realtime, Recording, SelfTest, Service
+from .daemon_settings import Live, Realtime, Recording, SelfTest, Service
 from .model import ModelConfig, load_model
 
 
@@ -228,6 +228,8 @@ class RigConfig(Strict):
     realtime: Realtime = Realtime()
     service: Service = Service()
     recording: Recording = Recording()
+    live: Live | None = None
+    """Live view; None: there is none."""
     self_test: SelfTest = SelfTest()
 
     @model_validator(mode="before")

@@ -14,6 +14,7 @@ from .cycle_codes import Fault, State
 from .errors import LogError
 
 Shape = Literal["scalar", "coil", "sensor"]
+Codes = type[IntEnum]
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Signal:
     type: str
     shape: Shape
     description: str
-    codes: type[IntEnum] | None = None
+    codes: Codes | None = None
     """Names of the values, written as constants before the field: viewers show them."""
 
 

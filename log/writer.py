@@ -40,6 +40,7 @@ from .message_array import MessageLayout
 from .signals import ros2msg
 
 FORMAT = "1"
+SCHEMA_NAME, TOPIC = "levid/msg/Cycle", "/levid/cycle"
 FIRST_CHUNK_ROWS, MAX_CHUNK_ROWS = 32, 8192
 """Rows of the first chunk. The next ones hold as many as all before them, up to the largest."""
 # Measured on flights at 1 and 10 kHz: zstd at level -3 gives files 7 % smaller than lz4 and 10 %
@@ -93,8 +94,8 @@ class LogWriter:
         rate_hz: float,
         metadata: Mapping[str, str],
         attachments: Mapping[str, bytes],
-        schema_name: str = "levid/msg/Cycle",
-        topic: str = "/levid/cycle",
+        schema_name: str = SCHEMA_NAME,
+        topic: str = TOPIC,
         units: Mapping[str, str] | None = None,
         chunk_s: float = 0.9,
         schema: str | None = None,

@@ -28,7 +28,7 @@ def calm(rig: RigConfig, folder: Path, **more: Any) -> RigConfig:
     """Return the rig for a test: at ease in time, its flight recordings in `folder`."""
     plain = rig.model_dump()
     for key, value in {**CALM, **more}.items():
-        plain[key] = {**plain[key], **value} if isinstance(value, dict) else value
+        plain[key] = {**(plain[key] or {}), **value} if isinstance(value, dict) else value
     plain["limits"] |= {"late_cycles": 1000, "late_in_window": 100_000, "stall_s": 20.0}
     plain["recording"]["faults"] = str(folder / "faults")
     return RigConfig.model_validate(plain)

@@ -73,8 +73,9 @@ Handler = Callable[[Mapping[str, Any], Reply], None]
 
 
 class _Connection:
-    def __init__(self, lines: Lines, role: Role) -> None:
+    def __init__(self, lines: Lines, role: Role, ours: bool = False) -> None:
         self.lines, self.role = lines, role
+        self.ours = ours  # of a process of this daemon: never closed to make room
         self.reply: Reply | None = None  # of the request in progress
         self.used_s = time.monotonic()
         self.closed = False
@@ -109,6 +110,7 @@ class Server:
         self._selector = selectors.DefaultSelector()
         self._connections: list[_Connection] = []
         self._ready: deque[_Connection] = deque()  # may have a request to handle
+        self._adopted: deque[_Connection] = deque()
         self._posted: deque[tuple[_Connection, Mapping[str, Any], bool]] = deque()
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._ending = False
@@ -134,6 +136,17 @@ class Server:
         if self._listener.in_place:
             with contextlib.suppress(OSError):
                 self._path.chmod(access.mode)
+
+    def adopt(self, end: socket.socket, role: Role) -> Callable[[], float | None]:
+        """Serve a connected socket as a client with this role; call from any thread.
+
+        Returns a function that gives the monotonic time of its last request, in s, or None once it
+        is disconnected.
+        """
+        connection = _Connection(Lines(end, LONGEST_LINE, _MAX_UNREAD), role, ours=True)
+        self._adopted.append(connection)
+        self._wake_up()
+        return lambda: None if connection.closed else connection.used_s
 
     def close(self) -> None:
         """Send pending messages as far as clients read them, stop the thread, remove the socket."""
@@ -176,6 +189,10 @@ class Server:
                 with self._hang_up_on_error(connection):
                     self._handle_next(connection)
             self._send_posted()
+            while self._adopted:
+                connection = self._adopted.popleft()
+                self._selector.register(connection.lines.socket, selectors.EVENT_READ, connection)
+                self._connections.append(connection)
             self._restore_socket()
         for connection in list(self._connections):
             self._hang_up(connection)
@@ -251,7 +268,8 @@ class Server:
 
     def _make_room(self) -> None:
         """Close the connection that was idle longest, preferably one without a pending request."""
-        candidates = [c for c in self._connections if c.reply is None] or self._connections
+        clients = [c for c in self._connections if not c.ours]
+        candidates = [c for c in clients if c.reply is None] or clients
         self._hang_up(min(candidates, key=lambda c: c.used_s))
 
     def _serve(self, connection: _Connection, events: int) -> None:

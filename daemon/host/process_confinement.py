@@ -21,11 +21,11 @@ _OOM = Path("/proc/self/oom_score_adj")
 class Confinement:
     """Set the limits of a confined process.
 
-    cpu_s: processor time, s. memory_bytes: additional address space. file_bytes: size of a file
-    that it writes, memory files included. keeps_user: whether root stays root.
+    cpu_s: processor time, s; None: no limit. memory_bytes: additional address space. file_bytes:
+    size of a file that it writes, memory files included. keeps_user: whether root stays root.
     """
 
-    cpu_s: int
+    cpu_s: int | None
     memory_bytes: int
     file_bytes: int
     keeps_user: bool = False
@@ -46,9 +46,9 @@ def confine(limits: Confinement, keep_fds: Collection[int]) -> None:
     _close_all_but(keep_fds)
     with contextlib.suppress(OSError):
         _OOM.write_text("1000")
-    os.nice(_NICE)
-    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    _limit(resource.RLIMIT_CPU, limits.cpu_s, limits.cpu_s + 1)
+    lower_priority(_NICE)
+    if limits.cpu_s is not None:
+        _limit(resource.RLIMIT_CPU, limits.cpu_s, limits.cpu_s + 1)
     _limit(resource.RLIMIT_AS, _address_space() + limits.memory_bytes)
     _limit(resource.RLIMIT_FSIZE, limits.file_bytes)
     _limit(resource.RLIMIT_NPROC, 0)
@@ -62,6 +62,12 @@ def confine(limits: Confinement, keep_fds: Collection[int]) -> None:
     if _LIBC.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
+
+
+def lower_priority(nice: int) -> None:
+    """Give this thread, and those that it starts later, a nice value higher by `nice`."""
+    os.nice(nice)
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def _limit(what: int, soft: int, hard: int | None = None) -> None:

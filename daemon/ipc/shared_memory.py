@@ -34,10 +34,11 @@ _PAGE = 4096
 class SharedMemory:
     """Map the shared memory of a rig's daemon; the first process creates it, others pass its `fd`.
 
+    With `read_only` the kernel refuses every write; pass a descriptor of `read_only_fd`.
     Raises SystemExit if another version of levid created the memory with a different layout.
     """
 
-    def __init__(self, rig: RigConfig, fd: int | None = None) -> None:
+    def __init__(self, rig: RigConfig, fd: int | None = None, read_only: bool = False) -> None:
         coils, sensors = len(rig.geometry.coil_x_m), len(rig.geometry.sensors_x_m)
         self.dtype: np.dtype[np.void] = cycle_dtype(coils, sensors)
         rows = ring_rows(rig.recording, rig.rate_hz)
@@ -56,13 +57,16 @@ class SharedMemory:
         if fd is None:
             fd = os.memfd_create(name, os.MFD_CLOEXEC)
             os.ftruncate(fd, ends[-1])
+            # Other users must not open it again for writing through /proc/self/fd.
+            os.fchmod(fd, 0o600)
         elif name not in (found := str(Path(f"/proc/self/fd/{fd}").readlink())):
             raise SystemExit(
                 f"levid was upgraded while its daemon ran: expected shared memory {name}, "
                 f"found {found}; restart the daemon"
             )
         self.fd = fd
-        memory = memoryview(mmap.mmap(fd, ends[-1]))
+        protection = mmap.PROT_READ if read_only else mmap.PROT_READ | mmap.PROT_WRITE
+        memory = memoryview(mmap.mmap(fd, ends[-1], prot=protection))
         self.control_words = ControlWords(memory[: ends[0]])
         self.ring = Ring(self.dtype, rows, memory[ends[0] : ends[1]])
         self.segment_stream = SegmentStream(
@@ -85,6 +89,10 @@ class SharedMemory:
         """
         unseen = max(self.ring.waiting - self.ring.capacity + 1, 0)
         return self.ring.lost + unseen + self.control_words[Word.DROPPED]
+
+    def read_only_fd(self) -> int:
+        """Open a descriptor that the kernel lets nobody map for writing. Raises OSError."""
+        return os.open(f"/proc/self/fd/{self.fd}", os.O_RDONLY | os.O_CLOEXEC)
 
     def close(self) -> None:
         """Close the descriptor; the mapping lasts until the process ends."""

@@ -201,7 +201,7 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path, read: Sequence[Path]
         lines += [f'ReadWritePaths="-{_literal(written)}"']
     if _ports(rig):
         lines += [f"DeviceAllow={device} rw" for device in classes]
-    if rig.service.metrics_port is not None or _speaks_ip(rig):
+    if rig.service.metrics_port is not None or rig.live is not None or _speaks_ip(rig):
         lines += ["RestrictAddressFamilies=AF_INET AF_INET6"]
         lines += ["IPAddressAllow=any" if _speaks_ip(rig) else "IPAddressAllow=localhost"]
     return "\n".join(lines) + "\n"

@@ -26,6 +26,7 @@ from ..host.resource_monitor import ResourceMonitor
 from ..host.wall_clock_jumps import ClockWatch
 from ..ipc.shared_memory import SharedMemory
 from ..ipc.shared_status_words import Word
+from ..live.live_link import LiveLink
 from ..planning.planner_link import PlannerLink
 from ..planning.refused_request import RELOADED
 from ..recording.coil_heat_file import HeatFile, state_folder
@@ -100,6 +101,7 @@ class Supervisor:
             self.log_soon,
             self._requests.on_long,
         )
+        self._live = LiveLink(rig, self._shared, self._server, socket_path.parent, log)
         self._actions: deque[Callable[[], None]] = deque()
         self._pending_clears = PendingClears(self.control_words)
         # Set by signal handlers, which must not take a lock.
@@ -193,6 +195,7 @@ class Supervisor:
             self._heat.start()
             self.control_words[Word.HEAT_MONOTONIC_NS] = time.monotonic_ns()
             self._start_loop()
+            self._live.announce()
             self.preflight.compute()
             waiting = True
             while not self._stopping:
@@ -207,6 +210,7 @@ class Supervisor:
             self._notify.stopping()
             self._loop.end_at_once()
             self.planner.end()
+            self._live.end()
             self.recorder.end(_RECORDER_S)
             self._resources.end(self._shared.lost)
             self._heat.close(_HEAT_S)
@@ -281,6 +285,7 @@ class Supervisor:
                 "loop": self._loop.pid,
                 "recorder": self.recorder.pid,
                 "planner": self.planner.pid,
+                "live": self._live.pid,
             },
             **{
                 f"{quantity['name']}_{quantity['unit']}": quantity["value"]
@@ -314,6 +319,7 @@ class Supervisor:
         self._loop.watch(self._stopping)
         self.recorder.watch()
         self.planner.watch()
+        self._live.watch()
         self.job_runner.tick()
         self._pending_clears.answer()
         self._log_fault()

@@ -43,6 +43,7 @@ _VERBS = {
     "info": ("info:command", "Describe logs and results: rig, date, length, faults."),
     "plot": ("plot:command", "Draw signals of logs over time, or their spectra."),
     "export": ("export:command", "Write logs as CSV, Parquet, MAT or NPZ tables."),
+    "layout": ("layout:command", "Write layouts of Foxglove and PlotJuggler for a rig."),
     "new": ("new_files:group", "Write a draft of a YAML file, such as SIGNALS.yaml."),
     "import": ("import_data:command", "Convert measured data (CSV, text, NPZ, MAT) to a log."),
     "salvage": ("salvage:command", "Recover the rows of damaged logs."),

@@ -34,6 +34,8 @@ from .websocket_proxy import WebSocketProxy
 STATUS_S = 0.5
 """Interval of the requests for the status, which are the heartbeat of this process as well."""
 _PAGE_HZ = 10.0
+_SEND_S = 0.05
+"""Shortest time between two deliveries; a delivery may hold several intervals of rows."""
 _NICE = 19
 """The lowest share of a processor that still lets a stop through on a busy machine."""
 _LIMITS = Confinement(cpu_s=None, memory_bytes=1 << 30, file_bytes=1 << 20)
@@ -95,7 +97,8 @@ class LiveProcess:
         await asyncio.gather(self._send_rows(), self._send_page_rows(), self._send_status())
 
     async def _send_rows(self) -> None:
-        async for _ in _ticks(self._rows.factor * self._period_s):
+        # Several intervals at a time: a wake-up costs more than the rows.
+        async for _ in _ticks(max(self._rows.factor * self._period_s, _SEND_S)):
             if not self._stream.wanted:
                 self._rows.skip()
                 continue

@@ -1,0 +1,40 @@
+"""`levid layout`: write layouts of Foxglove and PlotJuggler for a rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command("layout")
+@click.argument("rig", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path(),
+    help="Folder for the layouts. Default: this folder.",
+)
+def command(rig: Path, out: Path) -> int:
+    """Write foxglove.json and plotjuggler.xml, layouts with the coils and sensors of RIG.yaml.
+
+    They show the live stream and logs. Layouts for nine coils and sensors are in config/layouts.
+
+    \b
+    Examples:
+      levid layout config/rigs/loopback.yaml --out layouts
+    """
+    from ..config.rig import load_rig
+    from ..log.errors import LogError
+    from ..log.viewer_layouts import layouts
+
+    geometry = load_rig(rig).geometry
+    texts = layouts(len(geometry.coil_x_m), len(geometry.sensors_x_m))
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (out / name).write_text(text, encoding="utf-8")
+            click.echo(f"{out / name}: written")
+    except OSError as error:
+        raise LogError(f"{out}: cannot be written: {error.strerror}") from None
+    return 0

@@ -43,6 +43,8 @@ class FoxgloveStream:
 
     def __init__(self, name: str, dtype: np.dtype[np.void], rate_hz: float) -> None:
         self._period_ns = 1e9 / rate_hz
+        # Any local program could fill the journal with failed handshakes.
+        foxglove.set_log_level("CRITICAL")
         self._context = context = foxglove.Context()  # its channels close with it
         schema = foxglove.Schema(name=SCHEMA_NAME, encoding="ros2msg", data=ros2msg(dtype).encode())
 

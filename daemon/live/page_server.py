@@ -152,7 +152,7 @@ class PageServer:
                 403, f"{name}: expected the token from the file that `levid run` names"
             )
         length = head.headers.get("content-length", "0")
-        if not length.isdigit() or int(length) > _BODY_BYTES:
+        if not length.isdecimal() or int(length) > _BODY_BYTES:
             raise BadRequestError(400, f"{name}: expected a body of at most {_BODY_BYTES} bytes")
         try:
             async with asyncio.timeout(_BODY_S):

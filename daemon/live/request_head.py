@@ -74,7 +74,7 @@ def require_local(head: Head, origins: Collection[str] = ()) -> None:
     """
     host = head.headers.get("host", "")
     name, _, port = host.partition(":")
-    if name.lower() not in _LOCAL or not (port.isdigit() or not port):
+    if name.lower() not in _LOCAL or not (port.isdecimal() or not port):
         raise BadRequestError(
             421, f"Host: expected localhost or 127.0.0.1, found '{host[:80]}'; see docs/live.md"
         )

@@ -285,7 +285,7 @@ class Supervisor:
                 "loop": self._loop.pid,
                 "recorder": self.recorder.pid,
                 "planner": self.planner.pid,
-                "live": self._live.pid,
+                **({} if self.rig.live is None else {"live": self._live.pid}),
             },
             **{
                 f"{quantity['name']}_{quantity['unit']}": quantity["value"]

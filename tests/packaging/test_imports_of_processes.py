@@ -17,6 +17,7 @@ SLOW = ("numba", "scipy", "matplotlib")
         "daemon.supervision.supervisor",
         "daemon.recording.recorder_process",
         "daemon.planning.planner_process",
+        "daemon.live.live_process",
         "drivers.loopback",
     ],
 )

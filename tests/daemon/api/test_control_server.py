@@ -121,6 +121,26 @@ def test_request_waits_for_the_one_before(bench: Bench) -> None:
         assert [json.loads(stream.readline())["said"] for _ in range(2)] == [1, 2]
 
 
+def test_process_of_the_daemon_is_a_client_with_the_role_it_was_given(bench: Bench) -> None:
+    ours, theirs = socket.socketpair()
+    theirs.settimeout(_GIVE_UP_S)
+    used_s = bench.server.adopt(ours, Role.STOP)
+    before_s = used_s()
+    assert before_s is not None
+    assert bench.ask(theirs, b'{"op": "stop"}')[0]["ok"]
+    assert bench.stops == [1]
+    refused = bench.ask(theirs, b'{"op": "echo"}')[0]
+    assert not refused["ok"]
+    assert "may only stop and land" in refused["error"]
+    assert (used_s() or 0.0) > before_s
+    # However many clients connect, it stays.
+    others = [bench.connect() for _ in range(80)]
+    assert bench.ask(others[-1], b'{"op": "echo"}')[0]["ok"]
+    assert bench.ask(theirs, b'{"op": "stop"}')[0]["ok"]
+    theirs.close()
+    wait_until(lambda: used_s() is None)
+
+
 def test_idle_clients_make_room_and_waiting_clients_stay(bench: Bench) -> None:
     with bench.connect() as patient, contextlib.ExitStack() as stack:
         patient.sendall(b'{"op": "wait"}\n')

@@ -1,5 +1,7 @@
 """Test the shared memory: ring with lost rows, stream of segments, landing."""
 
+import mmap
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -196,4 +198,29 @@ def test_rows_lost_by_a_hung_recorder_are_counted_at_once() -> None:
         assert shared.lost == 5 + lost
     ring.take(1)
     assert (shared.lost, ring.lost) == (15, 10)
+    shared.close()
+
+
+def test_read_only_memory_shows_what_is_written_and_refuses_every_write() -> None:
+    shared = SharedMemory(RIG)
+    fd = shared.read_only_fd()
+    view = SharedMemory(RIG, fd, read_only=True)
+    shared.control_words[Word.CYCLE] = 7
+    write(shared.ring, 3)
+    assert view.control_words[Word.CYCLE] == 7
+    assert view.ring.last(10).rows["cycle"].tolist() == [0, 1, 2]
+    with pytest.raises(TypeError, match="read-only"):
+        view.control_words[Word.ZERO] = Fault.STOPPED
+    with pytest.raises(TypeError, match="read-only"):
+        view.ring.head = 9
+    for array in (view.ring.rows, view.ring.tags, view.heat, view.timing.counts):
+        assert not array.flags.writeable
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            array.flags.writeable = True
+    with pytest.raises(PermissionError):
+        mmap.mmap(fd, 4096)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.pwrite(fd, b"x", 0)
+    assert shared.control_words[Word.ZERO] == 0
+    os.close(fd)
     shared.close()

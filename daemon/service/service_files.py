@@ -204,6 +204,8 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path, read: Sequence[Path]
     if rig.service.metrics_port is not None or rig.live is not None or _speaks_ip(rig):
         lines += ["RestrictAddressFamilies=AF_INET AF_INET6"]
         lines += ["IPAddressAllow=any" if _speaks_ip(rig) else "IPAddressAllow=localhost"]
+    if rig.live is not None:
+        lines += ["# The live view forbids itself system calls:", "SystemCallFilter=seccomp"]
     return "\n".join(lines) + "\n"
 
 

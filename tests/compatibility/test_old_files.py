@@ -7,6 +7,7 @@ A release with a different file format gets another folder.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 from repository_folders import ROOT
 
 from levid.log.reader import read_log
+from levid.log.signals import ros2msg
 
 DATA = ROOT / "tests" / "data"
 OLD = sorted(path for path in DATA.iterdir() if path.is_dir())
@@ -109,3 +111,19 @@ def test_imported_log_is_still_identified(folder: Path, tmp_path: Path, levid: C
     code, out, err = levid("identify", path, "--out", tmp_path / "out", "--json")
     assert code == 0, err
     assert json.loads(out)["inputs"] == [{"name": "force_n", "unit": "N"}]
+
+
+@log
+def test_names_of_codes_are_all_that_new_schemas_have_more(path: Path) -> None:
+    constant = re.compile(r"uint8 [A-Z_]+=\d+")
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    old = next(iter(summary.schemas.values())).data.decode().splitlines()
+    assert not any(map(constant.fullmatch, old))
+    rows = read_log(path).rows
+    new = ros2msg(rows.dtype).splitlines()
+    fields = [line for line in new if not constant.fullmatch(line)]
+    assert ("uint8 STATE_LEVITATING=2" in new) == ("state" in rows.dtype.names)
+    # The words of a field's meaning may have changed, but not its type, name and place.
+    assert [line.split()[:2] for line in fields] == [line.split()[:2] for line in old]

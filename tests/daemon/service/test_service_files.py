@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from levid.cli.main import levid
 from levid.config.base import parse_text
+from levid.config.daemon_settings import Live
 from levid.config.rig import RigConfig, load_rig, model_path
 from levid.config.shipped import shipped
 from levid.daemon.service.service_files import (
@@ -159,6 +160,14 @@ def test_the_watchdog_waits_for_what_the_rig_allows() -> None:
     unit = service_files(found, RIG_FILE, PROGRAM)[DROP_IN]
     assert "\nWatchdogSec=14\n" in unit
     assert "\nTimeoutAbortSec=60\n" in unit
+
+
+def test_live_view_gets_local_ports_and_its_filter_of_system_calls() -> None:
+    found = rig("loopback")
+    assert "AF_INET" not in service_files(found, RIG_FILE, PROGRAM)[DROP_IN]
+    unit = service_files(found.model_copy(update={"live": Live()}), RIG_FILE, PROGRAM)[DROP_IN]
+    assert "\nRestrictAddressFamilies=AF_INET AF_INET6\nIPAddressAllow=localhost\n" in unit
+    assert "\nSystemCallFilter=seccomp\n" in unit
 
 
 def test_a_rig_without_ports_gets_the_right_to_none() -> None:

@@ -33,7 +33,7 @@ _COMPUTE = (
     *("cli", "compatibility", "config", "docs", "identification", "log", "model", "packaging"),
     *("report", "sim", "wire", "daemon/control", "daemon/ipc", "daemon/service/test_service_files"),
     *("daemon/loop/test_flight_ends", "daemon/loop/test_virtual_flight"),
-    *("daemon/live/test_decimation", "daemon/live/test_request_head"),
+    *("daemon/live/test_decimation", "daemon/live/test_page_data", "daemon/live/test_request_head"),
     *("daemon/planning/test_excitation", "daemon/planning/test_orthogonal_multisine"),
     *(
         "daemon/planning/test_plan.py",

@@ -25,7 +25,7 @@ _X32 = 0x40000000
 _ARCHITECTURES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
 _SECCOMP = (317, 277)
 _OPENAT, _OPEN, _CLONE, _TGKILL = (257, 56), (2, None), (56, 220), (234, 131)
-_SOCKET = (41, 198)
+_SOCKET, _PRLIMIT = (41, 198), (302, 261)
 _NOT_THERE = {"clone3": (435, 435), "openat2": (437, 437)}
 """Calls whose arguments a filter cannot read: libraries then use the older ones."""
 _FORBIDDEN: dict[str, tuple[int | None, int | None]] = {
@@ -44,6 +44,13 @@ _FORBIDDEN: dict[str, tuple[int | None, int | None]] = {
     "tkill": (200, 130),
     "rt_sigqueueinfo": (129, 138),
     "rt_tgsigqueueinfo": (297, 240),
+    # priorities and processors, also of other processes
+    "setpriority": (141, 140),
+    "sched_setparam": (142, 118),
+    "sched_setscheduler": (144, 119),
+    "sched_setaffinity": (203, 122),
+    "sched_setattr": (314, 274),
+    "ioprio_set": (251, 30),
     # waiting for clients at other sockets than those that are open
     "bind": (49, 200),
     # files
@@ -127,6 +134,7 @@ def _program(architecture: int, column: int, pid: int) -> list[bytes]:
         (_CLONE, 0, _CLONE_THREAD, None),
         (_TGKILL, 0, pid, False),
         (_SOCKET, 0, socket.AF_INET, False),
+        (_PRLIMIT, 0, 0, False),  # of this process
     ):
         number = call[column]
         if number is None:

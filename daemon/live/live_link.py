@@ -65,7 +65,7 @@ class LiveLink:
         self._running = False  # it has sent a request since its start
         self._started_s, self._pause_s, self._restart_s = 0.0, _FIRST_PAUSE_S, 0.0
         self._logged_s = -math.inf
-        self._starts = 0
+        self._started = False
         if self._live is not None and importlib.util.find_spec("foxglove") is None:
             raise ConfigError(
                 "live: expected the package foxglove-sdk, which serves the live stream; it is not "
@@ -76,11 +76,6 @@ class LiveLink:
     def pid(self) -> int | None:
         """Process id of the live process, None if it does not run."""
         return self._child.pid
-
-    @property
-    def restarts(self) -> int:
-        """Restarts so far."""
-        return max(self._starts - 1, 0)
 
     def watch(self) -> None:
         """Start or restart the process if it does not run; kill it if it hangs."""
@@ -128,9 +123,9 @@ class LiveLink:
                 self._token_file.unlink()
 
     def _start(self, now_s: float) -> None:
-        if self._starts:
+        if self._started:
             self._log_rarely(now_s, f"the live view ended ({self._child.end}) and is restarted")
-        self._starts += 1
+        self._started = True
         self._started_s = now_s
         self._restart_s = now_s + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, _LONGEST_PAUSE_S)

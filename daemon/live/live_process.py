@@ -12,7 +12,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -176,7 +176,7 @@ def _decimator(shared: SharedMemory, rate_hz: float, to_hz: float) -> Decimator:
     return Decimator(shared.ring, max(round(rate_hz / to_hz), 1))
 
 
-async def _ticks(period_s: float) -> Any:
+async def _ticks(period_s: float) -> AsyncIterator[None]:
     """Yield every `period_s`, and once after a pause of the process."""
     loop = asyncio.get_running_loop()
     next_s = loop.time()
@@ -226,8 +226,8 @@ def main(fd: str, parent: str, requests: str, flights: str = "") -> None:
 def _run(serve: Callable[[], Any]) -> None:
     try:
         asyncio.run(serve())
-    except (OSError, ConnectionError) as error:
-        raise SystemExit(f"live view: {error}") from None
+    except OSError as error:  # a port is in use, or the daemon has closed the connection
+        raise SystemExit(f"live view: {error}; its ports are keys of live in RIG.yaml") from None
 
 
 if __name__ == "__main__":

@@ -76,32 +76,39 @@ def rig_data(rig: RigConfig, control: bool) -> dict[str, Any]:
 
 
 def row_data(rows: Decimated, bars: list[Bar], heat: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the last row of the last interval, with minimum and maximum of the interval."""
-    last, low, high = rows.last[-1], rows.minimum[-1], rows.maximum[-1]
+    """Return the last row, with minimum and maximum of all intervals."""
+    last = rows.last[-1]
+
+    def low(field: str) -> Any:
+        return rows.minimum[field].min(axis=0)
+
+    def high(field: str) -> Any:
+        return rows.maximum[field].max(axis=0)
+
     return {
         "cycle": int(last["cycle"]),
         "state": State(int(last["state"])).name if last["state"] in set(State) else "?",
         "bars": [
             [
-                _short(row[field] * bar.factor)
-                for row, field in (
-                    (last, bar.field),
-                    (last, bar.reference),
-                    (low, bar.field),
-                    (high, bar.field),
+                _short(value * bar.factor)
+                for value in (
+                    last[bar.field],
+                    last[bar.reference],
+                    low(bar.field),
+                    high(bar.field),
                 )
             ]
             for bar in bars
         ],
         "gaps": _list(last["gap_m"], 1e6),
-        "gap_low": _list(low["gap_m"], 1e6),
-        "gap_high": _list(high["gap_m"], 1e6),
+        "gap_low": _list(low("gap_m"), 1e6),
+        "gap_high": _list(high("gap_m"), 1e6),
         "coils": _list(last["coil_n"], 1.0),
         "heat": _list(np.sqrt(np.maximum(heat, 0.0)), 1.0),
-        "late_us": [_short(1e6 * last["lateness_s"]), _short(1e6 * high["lateness_s"])],
-        "execution_us": _short(1e6 * high["execution_s"]),
-        "saturated": int(high["saturated"]),
-        "stale": int(high["stale"]),
+        "late_us": [_short(1e6 * last["lateness_s"]), _short(1e6 * high("lateness_s"))],
+        "execution_us": _short(1e6 * high("execution_s")),
+        "saturated": int(high("saturated")),
+        "stale": int(high("stale")),
     }
 
 

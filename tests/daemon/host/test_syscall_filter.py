@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 SCRIPT = """
-import mmap, os, pathlib, signal, socket, sys, threading
+import mmap, os, pathlib, resource, signal, socket, sys, threading
 from levid.daemon.host.process_confinement import Confinement, confine, lower_priority
 from levid.daemon.host.syscall_filter import forbid_syscalls
 
@@ -45,6 +45,10 @@ refused("rename", lambda: os.rename("FOLDER/old", "FOLDER/other"))
 refused("chmod", lambda: os.chmod("FOLDER/old", 0o777))
 refused("kill", lambda: os.kill(os.getppid(), 0))
 refused("memory of others", lambda: os.open(f"/proc/{os.getppid()}/mem", os.O_RDWR))
+refused("affinity", lambda: os.sched_setaffinity(os.getppid(), [0]))
+refused("priority", lambda: os.setpriority(os.PRIO_PROCESS, os.getppid(), 19))
+refused("limits of others", lambda: resource.prlimit(os.getppid(), resource.RLIMIT_CORE))
+refused("own limits", lambda: resource.getrlimit(resource.RLIMIT_CORE))
 refused("fork", os.fork)
 refused("execute", lambda: os.execv("/bin/true", ["true"]))
 refused("local socket", lambda: socket.socket(socket.AF_UNIX))
@@ -80,14 +84,15 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     "action",
     [
         *("map", "reopen", "memory of others", "write", "create", "unlink", "rename", "chmod"),
-        *("kill", "fork", "execute", "local socket", "listen"),
+        *("kill", "affinity", "priority", "limits of others"),
+        *("fork", "execute", "local socket", "listen"),
     ],
 )
 def test_is_refused(printed: dict[str, str], action: str) -> None:
     assert printed[action] == "PermissionError"
 
 
-@pytest.mark.parametrize("action", ["read", "send", "connect"])
+@pytest.mark.parametrize("action", ["read", "send", "connect", "own limits"])
 def test_still_works(printed: dict[str, str], action: str) -> None:
     assert printed[action] == "works"
 

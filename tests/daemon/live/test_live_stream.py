@@ -8,7 +8,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ name: short
 excitations: {psi: {input: psi, rms_n_m: 0.05}}
 steps:
   - levitate: {unload_s: 0.2, ramp_s: 0.5, settle_s: 0.1}
-  - record: {name: tilt, duration_s: 1.0, fade_s: 0.1, settle_s: 0.1, excite: [psi]}
+  - record: {name: tilt, duration_s: 0.5, fade_s: 0.1, settle_s: 0.1, excite: [psi]}
   - land: {ramp_s: 0.5, release_s: 0.2}
 """
 TOPICS = ("/levid/cycle", "/levid/cycle_min", "/levid/cycle_max", "/levid/cycle_raw")
@@ -60,9 +60,20 @@ def fly(view: LiveView, out: Path) -> dict[str, Any]:
         return client.request("excite", session=SESSION, out=str(out))
 
 
-def test_stream_of_a_flight_is_its_log(view: LiveView, tmp_path: Path) -> None:
+class Flight(NamedTuple):
+    """A flight that was logged and streamed: its logs, and what a client received."""
+
+    logs: list[Path]
+    rows: dict[str, NDArray[np.void]]
+    messages: dict[str, list[Message]]
+    channels: dict[str, dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def flight(view: LiveView, tmp_path_factory: pytest.TempPathFactory) -> Flight:
     answer: dict[str, Any] = {}
-    thread = threading.Thread(target=lambda: answer.update(fly(view, tmp_path / "out")))
+    out = tmp_path_factory.mktemp("logs") / "out"
+    thread = threading.Thread(target=lambda: answer.update(fly(view, out)))
     with FoxgloveClient(view.port) as client:
         client.subscribe(*TOPICS)
         client.until("/levid/cycle_raw", 1)
@@ -70,43 +81,52 @@ def test_stream_of_a_flight_is_its_log(view: LiveView, tmp_path: Path) -> None:
         while thread.is_alive():
             client.collect(0.2)
         client.collect(0.5)
-        last, low, high, raw = (rows_of(client, topic) for topic in TOPICS)
-        messages = client.messages
-        channel = client.channels["/levid/cycle"]
-    log = [read_log(path) for path in answer["logs"]]
-    logged = np.concatenate([part.rows for part in log])
+        rows = {topic: rows_of(client, topic) for topic in TOPICS}
+        return Flight(list(map(Path, answer["logs"])), rows, client.messages, client.channels)
+
+
+def test_raw_stream_of_a_flight_is_its_log(flight: Flight) -> None:
+    logs = list(map(read_log, flight.logs))
+    logged = np.concatenate([log.rows for log in logs])
     times_ns = dict(
         zip(
-            np.concatenate([part.rows["cycle"] for part in log]).tolist(),
-            np.concatenate([part.log_time_ns for part in log]).tolist(),
+            logged["cycle"].tolist(),
+            np.concatenate([log.log_time_ns for log in logs]).tolist(),
             strict=True,
         )
     )
-    # Every logged row came, byte for byte, at the log's time.
+    raw = flight.rows["/levid/cycle_raw"]
     assert (np.diff(raw["cycle"].astype(int)) > 0).all()
+    # Every logged row came, byte for byte, at the log's time.
     sent = raw[np.isin(raw["cycle"], logged["cycle"])]
     assert sent.tobytes() == logged.tobytes()
-    for row, message in zip(raw, messages["/levid/cycle_raw"], strict=True):
+    for row, message in zip(raw, flight.messages["/levid/cycle_raw"], strict=True):
         assert times_ns.get(int(row["cycle"]), message.time_ns) == message.time_ns
-    # Each decimated row is the last of its interval, beside minimum and maximum of all its rows.
+    assert set(raw["state"].tolist()) >= {State.LEVITATING, State.EXCITING, State.LANDING}
+
+
+def test_decimated_rows_have_last_minimum_and_maximum_of_their_interval(flight: Flight) -> None:
+    last, low, high, raw = (flight.rows[topic] for topic in TOPICS)
     assert len(last) == len(low) == len(high)
     places = np.searchsorted(raw["cycle"], last["cycle"])
-    for k in np.flatnonzero((places >= FACTOR - 1) & (places < len(raw)))[:-1]:
+    seen = np.flatnonzero((places >= FACTOR - 1) & (places < len(raw)))[:-1]
+    assert len(seen) > 50
+    for k in seen:
         interval = raw[places[k] - FACTOR + 1 : places[k] + 1]
         assert last[k] == interval[-1]
         for name in raw.dtype.names:
             np.testing.assert_array_equal(low[name][k], interval[name].min(axis=0))
             np.testing.assert_array_equal(high[name][k], interval[name].max(axis=0))
-    assert set(raw["state"].tolist()) >= {State.LEVITATING, State.EXCITING, State.LANDING}
-    assert_foreign_decoder_agrees(channel, messages["/levid/cycle"], last)
+    times = [[m.time_ns for m in flight.messages[topic]] for topic in TOPICS[:3]]
+    assert times[0] == times[1] == times[2]
 
 
-def assert_foreign_decoder_agrees(
-    channel: dict[str, Any], messages: list[Message], rows: NDArray[np.void]
-) -> None:
+def test_a_foreign_decoder_reads_the_stream_and_the_names_of_its_codes(flight: Flight) -> None:
+    channel = flight.channels["/levid/cycle"]
     assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
     name, schema = channel["schemaName"], channel["schema"]
     decode = generate_dynamic(name, schema)[name]
+    messages, rows = flight.messages["/levid/cycle"], flight.rows["/levid/cycle"]
     for message, row in zip(messages[::20], rows[::20], strict=True):
         fields = decode(message.data)
         assert (fields.cycle, fields.state, fields.z_m) == (row["cycle"], row["state"], row["z_m"])
@@ -117,19 +137,17 @@ def assert_foreign_decoder_agrees(
     assert named == states | {f"FAULT_{fault.name}": fault.value for fault in Fault}
 
 
-def test_channel_has_the_schema_and_name_of_a_log(view: LiveView, tmp_path: Path) -> None:
-    log = Path(fly(view, tmp_path / "out")["logs"][0])
-    with log.open("rb") as file:
+def test_channel_has_the_schema_and_name_of_a_log(flight: Flight) -> None:
+    with flight.logs[0].open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
     (schema,) = summary.schemas.values()
     (logged,) = summary.channels.values()
-    with FoxgloveClient(view.port) as client:
-        channel = client.channels[logged.topic]
-        assert channel["schema"] == schema.data.decode()
-        assert channel["schemaName"] == schema.name
-        assert client.channels["/levid/status"]["encoding"] == "json"
-        assert client.info["name"] == "levid: loopback"
+    channel = flight.channels[logged.topic]
+    assert channel["schema"] == schema.data.decode()
+    assert channel["schemaName"] == schema.name
+    assert flight.channels["/levid/status"]["encoding"] == "json"
+    assert flight.channels["/levid/events"]["schemaName"] == "foxglove.Log"
 
 
 @pytest.mark.parametrize("origin", ["https://evil.example", "http://localhost:1", "null"])

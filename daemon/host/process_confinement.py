@@ -67,7 +67,8 @@ def confine(limits: Confinement, keep_fds: Collection[int]) -> None:
 def lower_priority(nice: int) -> None:
     """Give this thread, and those that it starts later, a nice value higher by `nice`."""
     os.nice(nice)
-    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    with contextlib.suppress(PermissionError):  # a user may not leave SCHED_IDLE, which is lower
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def _limit(what: int, soft: int, hard: int | None = None) -> None:

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import click
 
+from .path_types import FOLDER, RIG
+
 
 @click.command("layout")
-@click.argument("rig", type=click.Path(path_type=Path))
+@click.argument("rig", type=RIG)
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     default=Path(),
     help="Folder for the layouts. Default: this folder.",
 )

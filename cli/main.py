@@ -85,6 +85,7 @@ _SECTIONS = {
         "export",
         "import",
         "salvage",
+        "layout",
     ),
     "Shell": ("completion",),
 }

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ... import __version__
+from ...config.version import __version__
 from ..errors import LogError
 from ..log_facts import rig_name
 from ..log_stream import Block, LogStream

@@ -206,8 +206,13 @@ class Trace(ABC):
         return None if there <= 0.0 else min(1.0 - (v.after**2 - floor**2) / there, 1.0)
 
     @property
+    @abstractmethod
+    def answer(self) -> str:
+        """The result in sentences that anyone at the rig understands."""
+
+    @property
     def verdict(self) -> str:
-        """The result in a sentence."""
+        """The result in a sentence, with the names of the effects."""
         return str(self._summary()["unexplained"]["found"])
 
     @property
@@ -232,7 +237,7 @@ class Trace(ABC):
         called.
         """
         written = {name: None if p is None else str(p) for name, p in self._written.items()}
-        plain = {**self._summary(), **written, "notes": list(self.notes)}
+        plain = {"answer": self.answer, **self._summary(), **written, "notes": list(self.notes)}
         return with_origin("trace", self._session.logs, plain)
 
     def report(self, folder: str | Path, command: str = "") -> Path:

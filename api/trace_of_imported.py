@@ -43,6 +43,13 @@ class ImportedTrace(Trace):
         """The result as computed; not a part of the stable API."""
         return self._found
 
+    @property
+    def answer(self) -> str:
+        """The result in sentences that anyone at the rig understands."""
+        from ..report.trace.answer import imported_answer
+
+        return imported_answer(force_outcome(self._found))
+
     def _summary(self) -> dict[str, Any]:
         return force_summary(self._found)
 

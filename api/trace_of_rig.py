@@ -75,6 +75,13 @@ class RigTrace(Trace):
             raise self._drawn
         return self._drawn
 
+    @property
+    def answer(self) -> str:
+        """The result in sentences that anyone at the rig understands."""
+        from ..report.trace.answer import rig_answer
+
+        return rig_answer(outcome(self._found))
+
     def _summary(self) -> dict[str, Any]:
         return summary(self._found)
 

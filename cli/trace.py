@@ -159,6 +159,7 @@ def _words(found: RigTrace) -> list[str]:
     from ..identification.records.record import OTHER_STEP
     from ..identification.trace.found_effects_summary import NO_STILL, PERHAPS_A_PART, outcome
     from ..identification.trace.residual.free_run_error import percent_of_pose
+    from ..report.trace.answer import rig_answer
 
     result = outcome(found)
     if result.noise_measured:
@@ -175,6 +176,7 @@ def _words(found: RigTrace) -> list[str]:
         )
         parts = [f"{name} {b:.3g} % before, {a:.3g} % after" for name, b, a in pairs]
         lines = [f"free-run error on held-out records, over the output: {'; '.join(parts)}"]
+    lines[:0] = [rig_answer(result)]
     lines.append(result.verdict)
     if result.doubt:
         lines.append(f"unreliable: {result.doubt}. The cause may be an effect that the table lacks")

@@ -20,9 +20,10 @@ def words_of(found: ForceTrace) -> list[str]:
         force_outcome,
         model_with_effects,
     )
+    from ..report.trace.answer import imported_answer
 
     result = force_outcome(found)
-    lines = []
+    lines = [imported_answer(result)]
     for i, name in enumerate(result.dof):
         force = f"{result.before.force_percent[i]:.3g} % before"
         force += f", {result.after.force_percent[i]:.3g} % after"

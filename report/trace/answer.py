@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from ...identification.trace.found_effects_summary import NOISE_MOST
+from ..plotting.labelled_frequency_responses import symbol
 from ..session.session_page import listed
+from .effect_in_words import effect_in_words
+from .number_format import times_text
+
+if TYPE_CHECKING:
+    from ...identification.trace.force_regression.force_trace_summary import ForceOutcome
+    from ...identification.trace.found_effects_summary import Outcome
 
 
 @dataclass(frozen=True)
@@ -19,6 +28,34 @@ class Clause:
     others: tuple[str, ...] = ()
     doubtful: bool = False
     free: bool = False
+
+
+def rig_answer(result: Outcome) -> str:
+    """Return the answer of a trace of a rig's logs."""
+    clauses = [
+        Clause(
+            effect_in_words(f.effect, f.parameters()),
+            tuple(e.name for e in f.others),
+            result.in_doubt(f) or bool(result.perhaps_part_of(f)),
+            f.unknown,
+        )
+        for f in result.effects
+    ]
+    return answer(clauses, _rest_of_rig(result))
+
+
+def imported_answer(result: ForceOutcome) -> str:
+    """Return the answer of a trace of imported records."""
+    clauses = [
+        Clause(
+            law.name if law.free else effect_in_words(law.placed.effect, law.parameters),
+            tuple(r.placed.effect.name for r in law.alternatives),
+            law.doubtful,
+            law.free,
+        )
+        for law in result.laws
+    ]
+    return answer(clauses, _rest_of_imported(result))
 
 
 def answer(clauses: Sequence[Clause], rest: str) -> str:
@@ -45,3 +82,58 @@ def answer(clauses: Sequence[Clause], rest: str) -> str:
 
 def _sentence(clause: str) -> str:
     return f"{clause[0].upper()}{clause[1:]}."
+
+
+def _rest_of_rig(result: Outcome) -> str:
+    """Return a sentence on what the model and its effects leave."""
+    ratio = f"{times_text(result.after / result.floor)} times the noise"
+    parts = [
+        f"A random force shakes the platform: {force.name}. It cannot be predicted."
+        for force in result.shaken
+    ]
+    if result.overrated:
+        parts.append(
+            "There is no conclusion on the remaining error: the noise was overestimated, because "
+            "the readings contain more than noise at their highest frequencies. Sample faster, or "
+            "excite less there."
+        )
+    elif not result.noise_measured:
+        parts.append(
+            "There is no conclusion on the remaining error: no record without excitation measures "
+            "the noise."
+        )
+    elif not result.significant:
+        parts.append(
+            "Nothing else is left: the remaining error is noise."
+            if result.effects or result.shaken
+            else "The declared model explains these records down to the noise. No undeclared "
+            "effect was found."
+        )
+    elif result.after <= NOISE_MOST * result.floor:
+        parts.append(
+            "A small error is left, which shows one step ahead only. No known effect explains it."
+        )
+    else:
+        worst = max(result.dof, key=lambda d: d.after / d.floor)
+        also = "" if result.shaken else " No known effect explains the rest."
+        parts.append(
+            f"An error of {ratio} is left, most in {symbol(worst.name)} from "
+            f"{worst.band_hz[0]:.2g} to {worst.band_hz[1]:.2g} Hz.{also}"
+        )
+    return " ".join(parts)
+
+
+def _rest_of_imported(result: ForceOutcome) -> str:
+    """Return a sentence on the missing force, before and after."""
+    parts = []
+    for i, name in enumerate(result.dof):
+        before, after = (e.force_percent[i] for e in (result.before, result.after))
+        at = f" at {symbol(name)}" if len(result.dof) > 1 else ""
+        parts.append(f"from {before:.3g} to {after:.3g} % of the inputs' force{at}")
+    if result.laws:
+        return f"The missing force falls {'; '.join(parts)}."
+    left = "; ".join(
+        f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
+        for e, name in zip(result.after.force_percent, result.dof, strict=True)
+    )
+    return f"No undeclared effect was confirmed. The model leaves {left} unexplained."

@@ -23,8 +23,7 @@ from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
 from ..plotting.labelled_frequency_responses import symbol
-from .answer import Clause, answer
-from .effect_in_words import effect_in_words
+from .answer import imported_answer
 from .effect_shapes import effect_shapes
 from .law_shapes import law_shapes
 from .missing_force import missing_force
@@ -61,7 +60,7 @@ def imported_report(trace: ForceTrace, out_dir: Path, command: str = "") -> Path
 
 
 def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Part]:
-    lead = answer([_clause(law) for law in result.laws], _left(result))
+    lead = imported_answer(result)
     parts: list[Part] = [Text(lead, "lead"), Figures(_numbers(result))]
     parts += [Text(text) for text in _notes(result)]
     about = ABOUT[result.metric].format(limit=trace.limit_hz)
@@ -76,28 +75,6 @@ def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Part]:
             )
         )
     return parts
-
-
-def _clause(law: FoundLaw) -> Clause:
-    text = law.name if law.free else effect_in_words(law.placed.effect, law.parameters)
-    others = tuple(r.placed.effect.name for r in law.alternatives)
-    return Clause(text, others, law.doubtful, law.free)
-
-
-def _left(result: ForceOutcome) -> str:
-    """Return a sentence on the missing force, before and after."""
-    parts = []
-    for i, name in enumerate(result.dof):
-        before, after = (e.force_percent[i] for e in (result.before, result.after))
-        at = f" at {symbol(name)}" if len(result.dof) > 1 else ""
-        parts.append(f"from {before:.3g} to {after:.3g} % of the inputs' force{at}")
-    if result.laws:
-        return f"The missing force falls {'; '.join(parts)}."
-    left = "; ".join(
-        f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
-        for e, name in zip(result.after.force_percent, result.dof, strict=True)
-    )
-    return f"No undeclared effect was confirmed. The model leaves {left} unexplained."
 
 
 def _notes(result: ForceOutcome) -> list[str]:

@@ -22,10 +22,9 @@ from ...identification.trace.found_effects_summary import (
 from ...identification.trace.run_trace import Trace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
-from ..plotting.labelled_frequency_responses import symbol
 from ..session.session_page import listed
 from .affected_places import affected_places, can_be_drawn
-from .answer import Clause, answer
+from .answer import rig_answer
 from .effect_in_words import effect_in_words
 from .effect_sections import effect_sections, sizes
 from .number_format import amount, times_text, with_interval
@@ -61,9 +60,7 @@ def trace_report(found: Trace, views: Views, out_dir: Path, command: str = "") -
 
 
 def _answer(found: Trace, result: Outcome) -> list[Part]:
-    parts: list[Part] = [
-        Text(answer([_clause(result, f) for f in result.effects], _left(result)), "lead")
-    ]
+    parts: list[Part] = [Text(rig_answer(result), "lead")]
     parts.append(Figures(_numbers(result)))
     parts += [Text(text) for text in _notes(result)]
     parts.append(
@@ -87,54 +84,6 @@ def _answer(found: Trace, result: Outcome) -> list[Part]:
             )
         )
     return parts
-
-
-def _clause(result: Outcome, found: FoundEffect) -> Clause:
-    return Clause(
-        effect_in_words(found.effect, found.parameters()),
-        tuple(e.name for e in found.others),
-        result.in_doubt(found) or bool(result.perhaps_part_of(found)),
-        found.unknown,
-    )
-
-
-def _left(result: Outcome) -> str:
-    """Return a sentence on what the model and its effects leave."""
-    ratio = f"{times_text(result.after / result.floor)} times the noise"
-    parts = [
-        f"A random force shakes the platform: {force.name}. It cannot be predicted."
-        for force in result.shaken
-    ]
-    if result.overrated:
-        parts.append(
-            "There is no conclusion on the remaining error: the noise was overestimated, because "
-            "the readings contain more than noise at their highest frequencies. Sample faster, or "
-            "excite less there."
-        )
-    elif not result.noise_measured:
-        parts.append(
-            "There is no conclusion on the remaining error: no record without excitation measures "
-            "the noise."
-        )
-    elif not result.significant:
-        parts.append(
-            "Nothing else is left: the remaining error is noise."
-            if result.effects or result.shaken
-            else "The declared model explains these records down to the noise. No undeclared "
-            "effect was found."
-        )
-    elif result.after <= NOISE_MOST * result.floor:
-        parts.append(
-            "A small error is left, which shows one step ahead only. No known effect explains it."
-        )
-    else:
-        worst = max(result.dof, key=lambda d: d.after / d.floor)
-        also = "" if result.shaken else " No known effect explains the rest."
-        parts.append(
-            f"An error of {ratio} is left, most in {symbol(worst.name)} from "
-            f"{worst.band_hz[0]:.2g} to {worst.band_hz[1]:.2g} Hz.{also}"
-        )
-    return " ".join(parts)
 
 
 def _notes(result: Outcome) -> list[str]:

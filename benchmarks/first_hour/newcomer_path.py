@@ -1,0 +1,204 @@
+"""Walk the path of a newcomer from a fresh clone, with the README's commands only, and time it.
+
+Demo, report in the browser, a changed session, its trace, Python, a flight through the daemon with
+the screen of `levid watch`, and the live view. Every command stands in README.md or docs/live.md;
+the benchmark fails otherwise. The report is opened in Chromium, the screen in tmux; a step whose
+program is missing is not measured. --quick: without the demo and the trace, but with their
+installation.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from levid.benchmarks.harness import benchmark_runner
+from levid.benchmarks.harness.benchmark_runner import Figure
+
+ROOT = Path(__file__).resolve().parents[2]
+_STEP_S = 1800.0
+_WAIT_S = 60.0
+_PYTHON = """
+import levid
+session = levid.load("out/mine")
+print(session)
+print(session.identify().parameters)
+"""
+
+
+class Newcomer:
+    """A clone, and commands that are run in it as the pages say."""
+
+    def __init__(self, clone: Path) -> None:
+        self.clone = clone
+        self.pages = "\n".join((clone / p).read_text() for p in ("README.md", "docs/live.md"))
+        path = f"{clone / '.venv' / 'bin'}:{os.environ['PATH']}"
+        self.environment = {**os.environ, "PATH": path, "PYTHONPATH": ""}
+
+    def do(self, command: str) -> str:
+        """Run a command that stands on a page; return what it prints."""
+        self._require(command)
+        done = subprocess.run(
+            command, shell=True, cwd=self.clone, env=self.environment, timeout=_STEP_S,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
+        )  # fmt: skip
+        if done.returncode:
+            raise RuntimeError(f"{command}: exit code {done.returncode}: {done.stdout[-1000:]}")
+        return done.stdout
+
+    @contextlib.contextmanager
+    def running(self, command: str) -> Iterator[subprocess.Popen[str]]:
+        """Run a command until the body ends, then press Ctrl-C."""
+        self._require(command)
+        process = subprocess.Popen(
+            command.split(), cwd=self.clone, env=self.environment,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        try:
+            yield process
+        finally:
+            process.send_signal(2)
+            process.wait(_WAIT_S)
+
+    def _require(self, command: str) -> None:
+        if command not in self.pages:
+            raise RuntimeError(f"the README does not say: {command}")
+
+
+def first_sentence(page: Path) -> str:
+    """Return the answer that a browser shows first on a report page."""
+    shown = subprocess.run(
+        ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", page.as_uri()],
+        capture_output=True, text=True, timeout=_STEP_S, check=True,
+    ).stdout  # fmt: skip
+    found = re.search(r'<p class="lead">(.*?)</p>', shown, re.DOTALL)
+    if found is None:
+        raise RuntimeError(f"{page}: expected an answer at its top, found none")
+    return re.sub(r"\s+", " ", found[1])
+
+
+def changed_session(newcomer: Newcomer) -> str:
+    """Copy a session, make its sweep longer, and check it."""
+    newcomer.do("cp config/sessions/trace-demo.yaml my-session.yaml")
+    file = newcomer.clone / "my-session.yaml"
+    text = file.read_text()
+    assert "duration_s: 16" in text
+    file.write_text(text.replace("duration_s: 16", "duration_s: 20"))
+    return newcomer.do("levid check my-session.yaml")
+
+
+def watched_flight(newcomer: Newcomer) -> str:
+    """Fly through the daemon, and return the screen of `levid watch` meanwhile."""
+    tmux = ["tmux", "-L", f"levid-{os.getpid()}"]
+    with newcomer.running("levid run config/rigs/loopback.yaml"):
+        _until(lambda: "IDLE" in newcomer.do("levid status"))
+        shell = ["new-session", "-d", "-x", "100", "-y", "30", "levid watch"]
+        subprocess.run([*tmux, *shell], env=newcomer.environment, check=True)
+        try:
+            flight = "levid excite config/sessions/beam.yaml --out out/daemon"
+            with newcomer.running(flight) as process:
+
+                def screen() -> str:
+                    shown = [*tmux, "capture-pane", "-p"]
+                    return subprocess.run(shown, capture_output=True, text=True, check=False).stdout
+
+                seen = _until(lambda: screen() if "MOVING" in screen() else "")
+                process.wait(_STEP_S)
+                if process.returncode:
+                    raise RuntimeError(f"{flight}: exit code {process.returncode}")
+                return seen
+        finally:
+            subprocess.run([*tmux, "kill-server"], check=False)
+
+
+def live_page(newcomer: Newcomer) -> str:
+    """Start the daemon with a live view, and return the page that a browser gets."""
+    rig = newcomer.clone / "config" / "rigs" / "loopback.yaml"
+    rig.write_text(rig.read_text() + "live: {}\n")
+    newcomer.do("levid check config/rigs/loopback.yaml")
+    with newcomer.running("levid run config/rigs/loopback.yaml"):
+
+        def page() -> str:
+            with contextlib.suppress(OSError):
+                answer = urllib.request.urlopen("http://127.0.0.1:8080", timeout=5.0)
+                return str(answer.read().decode())
+            return ""
+
+        return _until(page)
+
+
+def _until(found: Callable[[], str | bool]) -> str:
+    give_up_s = time.monotonic() + _WAIT_S
+    while not (value := _tried(found)):
+        if time.monotonic() > give_up_s:
+            raise RuntimeError(f"expected this within {_WAIT_S:g} s: {found.__name__}")
+        time.sleep(0.2)
+    return str(value)
+
+
+def _tried(found: Callable[[], str | bool]) -> str | bool:
+    try:
+        return found()
+    except RuntimeError:
+        return False
+
+
+def measure(quick: bool) -> Iterator[Figure]:
+    """Walk the path; yield the time of each step."""
+    with tempfile.TemporaryDirectory() as folder:
+        clone = Path(folder) / "levid"
+        subprocess.run(["git", "clone", "-q", str(ROOT), str(clone)], check=True)
+        newcomer = Newcomer(clone)
+
+        def python() -> str:
+            return subprocess.run(
+                [clone / ".venv" / "bin" / "python", "-c", _PYTHON], cwd=clone,
+                env=newcomer.environment, capture_output=True, text=True, check=True,
+            ).stdout  # fmt: skip
+
+        def install() -> str:
+            # What `make demo` does first.
+            command = ["make", ".venv/.installed-runtime"]
+            subprocess.run(command, cwd=clone, check=True, capture_output=True)
+            return ""
+
+        flown = "levid excite my-session.yaml --virtual --sim config/sims/undeclared.yaml "
+        found = clone / "out" / "demo-1" / "trace" / "found" / "index.html"
+        steps: list[tuple[str, str, Callable[[], str], str, bool]] = [
+            ("install", "installation", install, "", True),
+            ("demo", "make demo", lambda: newcomer.do("make demo"), "", False),
+            ("report", "report in the browser", lambda: first_sentence(found), "chromium", False),
+            ("session", "change and check a session", lambda: changed_session(newcomer), "", True),
+            ("flight", "fly it", lambda: newcomer.do(f"{flown}--out out/mine"), "", True),
+            (
+                "trace",
+                "trace it",
+                lambda: newcomer.do("levid trace out/mine/*.mcap --out out/mine/found"),
+                "",
+                False,
+            ),
+            ("python", "load and identify in Python", python, "", True),
+            ("watch", "daemon and watch", lambda: watched_flight(newcomer), "tmux", True),
+            ("live", "live page", lambda: live_page(newcomer), "", True),
+        ]
+        for key, label, step, program, always in steps:
+            if not (always or not quick) or (program and shutil.which(program) is None):
+                continue
+            begin_s = time.monotonic()
+            shown = step()
+            took_s = time.monotonic() - begin_s
+            print(f"== {label}: {took_s:.0f} s\n{shown[-1500:]}", file=sys.stderr)
+            yield Figure(f"{key}_s", took_s, "s", label)
+
+
+if __name__ == "__main__":
+    benchmark_runner.run("Path of a newcomer", measure)

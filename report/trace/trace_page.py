@@ -133,9 +133,9 @@ def _effect_table(result: Outcome, views: Views) -> list[Section]:
                 Table("Effects with 95 % intervals", head, tuple(rows), labels=3),
                 Text(
                     "Support: share of data resamples in which the search chooses this effect or "
-                    "one that the records do not tell from it, calibrated on simulated plants. z: "
-                    "agreement of the effect's prediction with data that did not fit it, in "
-                    "standard deviations of chance.",
+                    "one that the records cannot tell from it; it is not the probability that the "
+                    "name is right. z: agreement of the effect's prediction with data that did "
+                    "not fit it, in standard deviations of chance.",
                     "note",
                 ),
             ),

@@ -26,7 +26,8 @@ from levid.benchmarks.harness.benchmark_runner import Figure
 
 ROOT = Path(__file__).resolve().parents[2]
 _STEP_S = 1800.0
-_WAIT_S = 60.0
+_WAIT_S = 180.0
+"""The first start of a daemon compiles its kernels."""
 _PYTHON = """
 import levid
 session = levid.load("out/mine")
@@ -100,7 +101,7 @@ def watched_flight(newcomer: Newcomer) -> str:
     """Fly through the daemon, and return the screen of `levid watch` meanwhile."""
     tmux = ["tmux", "-L", f"levid-{os.getpid()}"]
     with newcomer.running("levid run config/rigs/loopback.yaml"):
-        _until(lambda: "IDLE" in newcomer.do("levid status"))
+        _until(lambda: ": idle" in newcomer.do("levid status"))
         shell = ["new-session", "-d", "-x", "100", "-y", "30", "levid watch"]
         subprocess.run([*tmux, *shell], env=newcomer.environment, check=True)
         try:
@@ -111,7 +112,7 @@ def watched_flight(newcomer: Newcomer) -> str:
                     shown = [*tmux, "capture-pane", "-p"]
                     return subprocess.run(shown, capture_output=True, text=True, check=False).stdout
 
-                seen = _until(lambda: screen() if "MOVING" in screen() else "")
+                seen = _until(lambda: screen() if "MOVING" in screen().upper() else "")
                 process.wait(_STEP_S)
                 if process.returncode:
                     raise RuntimeError(f"{flight}: exit code {process.returncode}")

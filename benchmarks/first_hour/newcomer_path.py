@@ -123,6 +123,7 @@ def watched_flight(newcomer: Newcomer) -> str:
 
 def live_page(newcomer: Newcomer) -> str:
     """Start the daemon with a live view, and return the page that a browser gets."""
+    newcomer.do(".venv/bin/pip install --editable '.[live]'")
     rig = newcomer.clone / "config" / "rigs" / "loopback.yaml"
     rig.write_text(rig.read_text() + "live: {}\n")
     newcomer.do("levid check config/rigs/loopback.yaml")

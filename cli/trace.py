@@ -163,9 +163,9 @@ def _words(found: RigTrace) -> list[str]:
 
     result = outcome(found)
     if result.noise_measured:
+        before, after = result.before / result.floor, result.after / result.floor
         lines = [
-            f"error on held-out records over sensor noise: {result.before:.3g} before, "
-            f"{result.after:.3g} after, noise floor {result.floor:.3g}"
+            f"error on held-out records: {before:.3g} times the noise before, {after:.3g} after"
         ]
     else:
         pairs = zip(

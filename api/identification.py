@@ -14,6 +14,7 @@ from ..identification.greybox.identify_greybox import GreyBox, to_yaml
 from ..identification.records.record import IdentificationError
 from ..identification.results import ClosedLoopPoint, OpenLoopPoint
 from ..identification.run_identification import Study
+from ..log.catalogue.results import RESULT
 from .model import (
     Model,
     Parameter,
@@ -22,7 +23,7 @@ from .model import (
 )
 from .output_folder import claimed_folder
 from .plant import Mode, Modes, Plant, beam_text, plant_of
-from .result_file import RESULT, save_result, with_origin
+from .result_file import save_result, with_origin
 
 if TYPE_CHECKING:
     import control

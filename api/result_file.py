@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-RESULT = "result.json"
+from ..log.catalogue.results import RESULT
 
 
 def with_origin(command: str, logs: Sequence[Path], plain: Mapping[str, Any]) -> dict[str, Any]:

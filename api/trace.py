@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..identification.records.record import IdentificationError
+from ..log.catalogue.results import RESULT
 from .html_table import Table
 from .model import (
     ArgumentError,
@@ -22,7 +23,7 @@ from .model import (
     model_of_config,
 )
 from .output_folder import claimed_folder
-from .result_file import RESULT, save_result, with_origin
+from .result_file import save_result, with_origin
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

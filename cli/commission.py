@@ -259,11 +259,10 @@ def _print(
     if found.delay_cycles >= 0:
         click.echo(f"the amplifiers report a force {found.delay_cycles} cycles after its command")
     late = found.height_delay
-    if late.sure:
-        click.echo(
-            "the heights follow a coil's command after "
-            f"{1e3 * late.mean_s:.3g} +- {2e3 * late.sd_s:.2g} ms"
-        )
+    click.echo(
+        "the heights follow a coil's command after "
+        f"{1e3 * late.mean_s:.3g} +- {2e3 * late.sd_s:.2g} ms"
+    )
     if found.beam_delay is not None:
         click.echo(f"the beam follows its setpoint after {1e3 * found.beam_delay.mean_s:.3g} ms")
     click.echo(f"largest force of a coil: {found.largest_n:.3g} N")

@@ -98,8 +98,9 @@ _PLAIN = (
     (r"is not in the range x>(\S+?)\.?$", r"is not greater than \1."),
     (r"is not in the range x<=(\S+?)\.?$", r"is not at most \1."),
     (r"is not in the range (\S+?)<=x<=(\S+?)\.?$", r"is not between \1 and \2."),
+    (r"does not match the formats? .*$", "is not a date such as 2026-11-26 or 2026-11-26T14:30."),
 )
-"""Messages of click about numbers, and words for them."""
+"""Messages of click about numbers and dates, and words for them."""
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 _COMPLETE = "_LEVID_COMPLETE"

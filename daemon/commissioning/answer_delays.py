@@ -22,11 +22,6 @@ class Delay:
     mean_s: float
     sd_s: float
 
-    @property
-    def sure(self) -> bool:
-        """Whether it is known to a fifth of itself, or to 0.2 ms."""
-        return self.sd_s < max(0.2 * abs(self.mean_s), 2e-4)
-
 
 @dataclass(frozen=True)
 class Swings:

@@ -23,6 +23,8 @@ and speed over their limits."""
 _CYCLES = 2.0
 """From a command to a reading: it acts from the next cycle on, which is read at its end."""
 _LATE_CYCLES, _SURE = 0.5, 4.0
+"""Difference from the model's delay, in cycles and in standard deviations, that is a remark: the
+rise of the stops is part of the measured delay."""
 _LIMITS = re.compile(r"^limits:[ \t]*(?:#.*)?\n(?:[ \t]+.*\n|#.*\n|[ \t]*\n)+", re.MULTILINE)
 _INDENT = re.compile(r"^([ \t]+)[^\s#]", re.MULTILINE)
 _SENSOR_OFF, _COIL_OFF = 0.02, 0.05
@@ -80,7 +82,7 @@ def remarks(found: Commissioned, rig: RigConfig) -> list[str]:
             else []
         ),
         *(
-            f"nobody measured how far the {encoder.axis} moved"
+            f"the way of the {encoder.axis} was not measured by hand"
             for encoder in found.encoders
             if encoder.scale is None
         ),
@@ -91,7 +93,7 @@ def remarks(found: Commissioned, rig: RigConfig) -> list[str]:
 def _late(found: Commissioned, rig: RigConfig) -> Iterator[str]:
     """Yield a remark if heights answer at another time than the declared model says."""
     model, delay = rig.model, found.height_delay
-    if not isinstance(model, ModelConfig) or not delay.sure:
+    if not isinstance(model, ModelConfig):
         return
     at = declared_model(model).at()
     declared_s = max(at.delay_s, 0.0) + max(at.lag_s, 0.0) + _CYCLES / rig.rate_hz

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from ...config.base import ConfigError
 from ...config.model import ModelConfig, load_model
+from ...log.catalogue.results import RESULT
 
 Array = NDArray[np.float64]
 
-MODEL, RESULT = "model.yaml", "result.json"
+MODEL = "model.yaml"
 _SAME = 1e-9
 
 
@@ -46,7 +47,7 @@ class SavedResult:
 
 
 def load_result(path: Path | str) -> SavedResult:
-    """Load a folder that identify or trace wrote, or a model file.
+    """Load a folder that identify or trace wrote, its result.json, or a model file.
 
     The covariance is that of result.json beside the model if its parameters are the model's.
 
@@ -54,8 +55,9 @@ def load_result(path: Path | str) -> SavedResult:
         ConfigError: there is no model file, or it is invalid.
     """
     path = Path(path)
-    file = path / MODEL if path.is_dir() else path
-    if path.is_dir() and not file.is_file():
+    folder = path.parent if path.name == RESULT else path
+    file = folder / MODEL if folder.is_dir() else folder
+    if folder.is_dir() and not file.is_file():
         raise ConfigError(
             f"{path}: expected a result with {MODEL}, found none; levid identify writes it if "
             "there is a declared model (--model MODEL.yaml for imported data)"

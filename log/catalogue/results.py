@@ -56,14 +56,14 @@ def read_result(folder: Path) -> ResultSummary | None:
 
 
 def _traced(found: Mapping[str, Any]) -> str:
-    """Return the verdict, and the error before and after."""
+    """Return the answer, and the error before and after in multiples of the noise."""
     checked = found["validation"]
     before, after, floor = (checked.get(k) for k in ("before", "after", "noise_floor"))
-    verdict = str(found["unexplained"]["found"])
-    if before is None or after is None:
-        return verdict
-    beside = "" if floor is None else f", noise floor {floor:.3g}"
-    return f"{verdict} (error {before:.3g} before, {after:.3g} after{beside})"
+    answer = str(found["answer"])
+    if before is None or after is None or not floor:
+        return answer
+    times = f"{before / floor:.3g} times the noise before, {after / floor:.3g} after"
+    return f"{answer} (error {times})"
 
 
 def _identified(found: Mapping[str, Any]) -> str:

@@ -46,6 +46,7 @@ def _result(
     corrected: Sequence[str],
     written: Path | None,
 ) -> list[Text | Figures | Table | Steps]:
+    late = found.height_delay
     if wrong:
         lead = f"{_count(len(wrong), 'channel')} must be repaired before this rig can fly."
     elif corrected:
@@ -64,7 +65,7 @@ def _result(
                     "from a command to its measured force",
                 ),
                 Number(
-                    _ms(found.height_delay.mean_s) if found.height_delay.sure else "unknown",
+                    f"{1e3 * late.mean_s:.3g} ± {2e3 * late.sd_s:.1g} ms",
                     "from a command to the heights",
                 ),
                 *(

@@ -204,7 +204,7 @@ def grey_box_answer(report: GreyBoxReport) -> str:
     middle = len(report.modes) // 2
     modes = report.modes[middle]
     at = f" at {report.places[middle].label}" if len(report.places) > 1 else ""
-    values = ", ".join(f"{f:.3g}" for f in modes.frequency_hz)
+    values = ", ".join(f"{f:#.3g}" for f in modes.frequency_hz)
     natural = f" Its natural frequencies{at} are {values} Hz." if len(modes.frequency_hz) else ""
     worst = report.worst
     error = "" if worst is None else f" ({worst.over_noise:.2f} times the noise)"

@@ -23,7 +23,7 @@ from ..plotting.html_page import (
 )
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.min_max_bins import all_samples
-from ..plotting.style import signed
+from ..plotting.style import engineering, signed
 from .cycle_times import quantile_s, timing_histogram
 from .flight_data import Session, StepFlown, read_session
 from .pose_during_beam_moves import beam_trajectory
@@ -35,8 +35,7 @@ _MOST_FIGURES = 6
 _NEAR = 0.8
 """Share of the gap limit above which the next flight may exceed the limit."""
 _TAKING_OFF = (
-    " Taking off from the stops and landing on them, some 0.9 mm away, lie outside of the range of "
-    "the pose."
+    " Lift-off from the stops and landing on them, some 0.9 mm away, are outside the plotted range."
 )
 
 
@@ -84,7 +83,7 @@ def session_words(session: Session) -> str:
     if inputs:
         names = listed(list(inputs))
         turn = " in turn" if all(len(step.excited) <= 1 for step in records) else ""
-        text += f" Excited were {names}{turn}"
+        text += f" The session excited {names}{turn}"
         beams = sorted({round(1e3 * step.beam_m[1]) for step in records if step.beam_m})
         if beams:
             text += f", with the beam at {listed([signed(b, 0) for b in beams])} mm"
@@ -115,11 +114,12 @@ def session_numbers(session: Session) -> tuple[Number, ...]:
 
 
 def _farthest(peak_m: float, limit_m: float | None) -> Number:
-    value, words = f"{1e3 * peak_m:.2f} mm", "farthest any sensor read in a record"
+    factor, prefix = engineering(peak_m)
+    value, words = f"{factor * peak_m:.3g} {prefix}m", "largest gap reading in a record"
     if limit_m is None:
         return Number(value, words)
     near = peak_m > _NEAR * limit_m
-    return Number(value, f"{words}, of {1e3 * limit_m:g} mm allowed", "bad" if near else "good")
+    return Number(value, f"{words}; limit {1e3 * limit_m:g} mm", "bad" if near else "good")
 
 
 def session_sections(session: Session) -> tuple[Section, ...]:
@@ -132,9 +132,9 @@ def session_sections(session: Session) -> tuple[Section, ...]:
                 to_svg(session_plot(session)),
                 f"Time plots of the session over {session.duration_s:.0f} s: states, pose, beam, "
                 "coil forces and excitation.",
-                "The whole session on the plant's own time. The bar on top tells what the loop was "
-                "doing, with the records' names; the shaded stretches are those in which "
-                "excitation played or the beam moved. Signals are bands from minimum to maximum."
+                "The whole session. The bar on top shows the loop's state and the names of the "
+                "records. Excitation played, or the beam moved, in the shaded parts. Signals are "
+                "bands from minimum to maximum."
                 + (_TAKING_OFF if any(s.state == State.IDLE for s in session.spans) else ""),
             )
         )
@@ -153,10 +153,9 @@ def session_sections(session: Session) -> tuple[Section, ...]:
                         "timing",
                         to_svg(timing_histogram(t)),
                         "Histograms of lateness and of execution time of all cycles.",
-                        "How late cycles began after their deadlines, and how long they took, over "
-                        f"all cycles of the session. Half of them began within "
-                        f"{1e6 * median:.0f} µs, 99.9 % within {1e6 * late:.0f} µs; the longest "
-                        "are mostly the machine's own stalls.",
+                        "Lateness and execution time of all cycles. Half of the cycles began "
+                        f"within {1e6 * median:.0f} µs of their deadline, 99.9 % within "
+                        f"{1e6 * late:.0f} µs.",
                     ),
                 ),
             )
@@ -174,9 +173,8 @@ def _beam_pictures(session: Session) -> list[Picture]:
                 f"beam-{number + 1}",
                 to_svg(beam_trajectory(record)),
                 f"Beam position, tilt theta and height z over time in record {name}.",
-                f"Record {name}: the beam moves, nothing else excites the platform. θ swings over "
-                f"{1e6 * theta:.0f} µrad and z over {1e6 * z:.1f} µm, as the beam's weight and its "
-                "acceleration act on the platform.",
+                f"Record {name}: only the moving beam excites the platform. Its weight and "
+                f"acceleration move θ over {1e6 * theta:.0f} µrad and z over {1e6 * z:.1f} µm.",
                 "" if number else "Fig. 14",
             )
         )
@@ -198,7 +196,9 @@ def _steps_table(steps: Sequence[StepFlown]) -> Table:
         for step in steps
     )
     head = ("step", "kind", "excitation", "remarks", "start s", "length s", "beam mm", "peak mm")
-    return Table("Steps, one log each; peak is the farthest any corner went", head, rows, labels=4)
+    return Table(
+        "Steps, one log each; peak: largest displacement of a corner", head, rows, labels=4
+    )
 
 
 def _excitation(step: StepFlown) -> str:

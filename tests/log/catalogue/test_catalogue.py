@@ -50,7 +50,7 @@ def out(flown: Path, tmp_path: Path) -> Path:
     traced = {
         "command": "trace",
         "validation": {"before": 9.0, "after": 1.1, "noise_floor": 1.0},
-        "unexplained": {"found": "found: Gain at coil 6; the residual is noise"},
+        "answer": "Coil 6 gives 2 % less force than commanded.",
         "logs": [],
     }
     (inside / "result.json").write_text(json.dumps(traced))
@@ -71,7 +71,7 @@ def test_the_newest_flight_comes_first_with_its_note_and_results(
     lines = text.splitlines()
     assert lines[1].split()[2:5] == ["first", "loopback", "hop"]
     assert lines[2].strip() == "note: new rods, 21 °C"
-    assert "found: Gain at coil 6; the residual is noise (error 9 before, 1.1 after" in lines[3]
+    assert "less force than commanded. (error 9 times the noise before, 1.1 after)" in lines[3]
     assert "old/second" in lines[5]
     assert lines[5].endswith("1 incomplete, 1 unreadable, virtual")
     assert any("identify: order 9 at 1 beam position" in line for line in lines)

@@ -89,7 +89,7 @@ def test_session_is_reported_as_flown(logs):
         State.LANDING,
     ]
     assert list(session.beam_records) == ["sweep"]
-    assert "Excited were ψ in turn, with the beam at −100" in session_words(session)
+    assert "The session excited ψ in turn, with the beam at −100" in session_words(session)
 
 
 def test_logs_in_any_order_give_the_same_session(logs):
@@ -102,7 +102,7 @@ def test_page_of_a_session(logs, tmp_path):
     text = page.read_text(encoding="utf-8")
     for expected in ("Session a-session", "What was flown", "The moving beam", "What next"):
         assert expected in text
-    assert "0.42 mm" in text.replace("\u00a0", " ")
+    assert "420 µm" in text.replace("\u00a0", " ")
     assert "levid identify" in text
     assert sorted(f.name for f in (tmp_path / "report/figures").iterdir()) == [
         "beam-1.svg",

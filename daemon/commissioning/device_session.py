@@ -28,7 +28,7 @@ from ..planning import point_to_point
 _ATTEMPTS = 10
 _ENABLING_S, _FIRST_S, _SETTLE_S = 0.2, 1.0, 0.5
 _GENTLE = 0.1
-"""Share of the beam's limits at which it moves."""
+"""Share of their limits at which beam and rotor move."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,7 @@ class DeviceSession:
         self._gap_m, self._coil_n = np.zeros(self._sensors), np.zeros(self._coils)
         self._beam, self._rotor = np.zeros(3), np.zeros(3)
         self._measured_beam, self._measured_rotor = np.zeros(3), np.zeros(3)
-        self._moves: list[Array] = []
-        self._turns: list[Array] = []
+        self._moving, self._moves = self._beam, list[Array]()
         self._holds = False  # until it is known where beam and rotor are
         self._cycle = 0
         self._begin_s = 0.0
@@ -124,30 +123,14 @@ class DeviceSession:
                 f"beam: expected a position of at most {limits.beam_m:g} m (limits.beam_m), found "
                 f"{to_m:g} m"
             )
-        self._moves = list(
-            point_to_point.move(
-                float(self._beam[0]),
-                to_m,
-                _GENTLE * limits.beam_velocity_m_s,
-                _GENTLE * limits.beam_acceleration_m_s2,
-                self._context.period_s,
-            )
-        )
-        return self.run(len(self._moves) + round(_SETTLE_S / self._context.period_s))
+        velocity, acceleration = limits.beam_velocity_m_s, limits.beam_acceleration_m_s2
+        return self._move(self._beam, to_m, velocity, acceleration)
 
     def move_rotor(self, to_rad: float) -> Readings:
         """Turn the rotor gently to an angle in rad, wait until it is there; see move_beam."""
         limits = self._context.rig.limits
-        self._turns = list(
-            point_to_point.move(
-                float(self._rotor[0]),
-                to_rad,
-                _GENTLE * limits.rotor_velocity_rad_s,
-                _GENTLE * limits.rotor_acceleration_rad_s2,
-                self._context.period_s,
-            )
-        )
-        return self.run(len(self._turns) + round(_SETTLE_S / self._context.period_s))
+        velocity, acceleration = limits.rotor_velocity_rad_s, limits.rotor_acceleration_rad_s2
+        return self._move(self._rotor, to_rad, velocity, acceleration)
 
     def run(
         self,
@@ -200,9 +183,7 @@ class DeviceSession:
             commanded[k] = command
             devices.amplifiers.write(command)
             if self._moves:
-                self._beam[:] = self._moves.pop(0)
-            if self._turns:
-                self._rotor[:] = self._turns.pop(0)
+                self._moving[:] = self._moves.pop(0)
             beam[k] = self._beam[0], self._beam[1], self._measured_beam[0]
             if self._holds:
                 devices.drives.write(self._beam, self._rotor)
@@ -212,6 +193,14 @@ class DeviceSession:
                     return so_far
         devices.amplifiers.write(zero)
         return Readings(gap, coil, commanded, beam)
+
+    def _move(self, axis: Array, to: float, velocity: float, acceleration: float) -> Readings:
+        """Move the setpoint (3,) of an axis at a share of its limits, and let it settle."""
+        period_s = self._context.period_s
+        slow, soft = _GENTLE * velocity, _GENTLE * acceleration
+        self._moving = axis
+        self._moves = list(point_to_point.move(float(axis[0]), to, slow, soft, period_s))
+        return self.run(len(self._moves) + round(_SETTLE_S / period_s))
 
     def _checked(self, force_n: NDArray[np.float64]) -> Array:
         size = np.abs(force_n)

@@ -16,7 +16,7 @@ from .orthogonal_multisine import orthogonal_multisines
 Array = NDArray[np.float64]
 
 _ROWS = 1 << 14
-AXIS = {"psi": 0, "theta": 1, "z": 2}
+_AXIS = {"psi": 0, "theta": 1, "z": 2}
 
 
 @dataclass(frozen=True)
@@ -65,18 +65,17 @@ class RecordExcitation:
         for first in range(0, self.cycles if played else 0, _ROWS):
             end = min(first + _ROWS, self.cycles)
             block = ExcitedBlock(first, end - first, {}, {})
-            for among, number in played:
-                into = block.axes if among == "axes" else block.coils
-                into.setdefault(number, np.zeros(block.rows))
+            places = [(block.axes if is_axis else block.coils, n) for is_axis, n in played]
+            for part, number in places:
+                part.setdefault(number, np.zeros(block.rows))
             for one in signals:
                 begin, until = max(first, one.begin), min(end, one.begin + one.cycles)
                 if begin >= until:
                     continue
                 samples = self._samples(one, begin - one.begin, until - one.begin)
                 for position, column in zip(one.positions, samples.T, strict=True):
-                    among, number = played[position]
-                    into = block.axes if among == "axes" else block.coils
-                    into[number][begin - first : until - first] += column
+                    part, number = places[position]
+                    part[number][begin - first : until - first] += column
             yield block
 
     def arrays(self) -> tuple[Array, Array]:
@@ -123,18 +122,18 @@ class RecordExcitation:
             raise ConfigError(f"{self.source}: excitations.{name}.{error}") from None
         return np.asarray(self.step.scale * samples * window[:, None])
 
-    def _input(self, name: str) -> tuple[str, int]:
-        """Return whether an excitation plays at an axis or a coil, and which."""
+    def _input(self, name: str) -> tuple[bool, int]:
+        """Return whether an excitation plays at an axis, not a coil, and the number of either."""
         played = self.session.excitations[name].input
-        if played in AXIS:
-            return "axes", AXIS[played]
+        if played in _AXIS:
+            return True, _AXIS[played]
         coil = int(played.removeprefix("coil:"))
         if coil >= self.coils:
             raise ConfigError(
                 f"{self.where}: excitation '{name}': expected coil:0 .. coil:{self.coils - 1}, "
                 f"found {played}"
             )
-        return "coils", coil
+        return False, coil
 
     def _signals(self) -> list[_Signal]:
         """Return the signals of the record: one of all excitations together, or one of each."""

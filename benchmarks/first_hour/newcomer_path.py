@@ -3,8 +3,9 @@
 Demo, report in the browser, a changed session, its trace, Python, a flight through the daemon with
 the screen of `levid watch`, and the live view. Every command stands in README.md or docs/live.md;
 the benchmark fails otherwise. The report is opened in Chromium, the screen in tmux; a step whose
-program is missing is not measured. --quick: without the demo and the trace, but with their
-installation.
+program is missing is not measured. Pictures of all pages at the width of a desktop and of a phone,
+and the screen of `levid watch`, are written to build/screenshots: look at them. --quick: without
+the demo and the trace, but with their installation.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from levid.benchmarks.harness import benchmark_runner
 from levid.benchmarks.harness.benchmark_runner import Figure
 
 ROOT = Path(__file__).resolve().parents[2]
+PICTURES = ROOT / "build" / "screenshots"
+_WIDTHS_PX = (1400, 390)
+_CHROMIUM = ("chromium", "--headless", "--no-sandbox", "--disable-gpu")
 _STEP_S = 1800.0
 _WAIT_S = 180.0
 """The first start of a daemon compiles its kernels."""
@@ -78,13 +82,27 @@ class Newcomer:
 def first_sentence(page: Path) -> str:
     """Return the answer that a browser shows first on a report page."""
     shown = subprocess.run(
-        ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", page.as_uri()],
+        [*_CHROMIUM, "--dump-dom", page.as_uri()],
         capture_output=True, text=True, timeout=_STEP_S, check=True,
     ).stdout  # fmt: skip
     found = re.search(r'<p class="lead">(.*?)</p>', shown, re.DOTALL)
     if found is None:
         raise RuntimeError(f"{page}: expected an answer at its top, found none")
     return re.sub(r"\s+", " ", found[1])
+
+
+def pictures(clone: Path) -> str:
+    """Write a picture of every report page at each width; return their paths."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    written = []
+    for page in sorted((clone / "out").rglob("index.html")):
+        name = "-".join(page.parent.relative_to(clone / "out").parts)
+        for width in _WIDTHS_PX:
+            written.append(PICTURES / f"{name}-{width}.png")
+            size = (f"--window-size={width},3000", f"--screenshot={written[-1]}")
+            drawn = ("--hide-scrollbars", "--virtual-time-budget=4000", *size)
+            subprocess.run([*_CHROMIUM, *drawn, page.as_uri()], capture_output=True, check=True)
+    return "\n".join(map(str, written))
 
 
 def changed_session(newcomer: Newcomer) -> str:
@@ -116,6 +134,8 @@ def watched_flight(newcomer: Newcomer) -> str:
                 process.wait(_STEP_S)
                 if process.returncode:
                     raise RuntimeError(f"{flight}: exit code {process.returncode}")
+                PICTURES.mkdir(parents=True, exist_ok=True)
+                (PICTURES / "watch.txt").write_text(seen)
                 return seen
         finally:
             subprocess.run([*tmux, "kill-server"], check=False)
@@ -189,11 +209,12 @@ def measure(quick: bool) -> Iterator[Figure]:
                 False,
             ),
             ("python", "load and identify in Python", python, "", True),
+            ("pictures", "pictures of all pages", lambda: pictures(clone), "chromium", True),
             ("watch", "daemon and watch", lambda: watched_flight(newcomer), "tmux", True),
             ("live", "live page", lambda: live_page(newcomer), "", True),
         ]
         for key, label, step, program, always in steps:
-            if not (always or not quick) or (program and shutil.which(program) is None):
+            if (quick and not always) or (program and shutil.which(program) is None):
                 continue
             begin_s = time.monotonic()
             shown = step()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..log.errors import LogError
 from ..log.signals import SIGNALS
-from .signal_table import SignalTable
+from .signal_table import SignalTable, listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +27,7 @@ _DIMENSIONS = {s.name: s.shape for s in SIGNALS if s.shape != "scalar"}
 def to_pandas(records: Sequence[Record], columns: Iterable[str] | None) -> pd.DataFrame:
     """Return the rows of all records with the column `record` and the index time_s in s."""
     pandas = _package("pandas")
-    columns = _listed(columns)
+    columns = listed(columns)
     selected = _same_signals(records, columns)
     names = [r.name for r in records]
     codes = np.repeat(np.arange(len(records)), [len(r.time_s) for r in records])
@@ -41,7 +41,7 @@ def to_pandas(records: Sequence[Record], columns: Iterable[str] | None) -> pd.Da
 def record_to_pandas(record: Record, columns: Iterable[str] | None) -> pd.DataFrame:
     """Return the rows of one record with the index time_s in s."""
     pandas = _package("pandas")
-    selected = record.selected(_listed(columns))
+    selected = record.selected(listed(columns))
     data = {column: record[column] for column in _column_names(selected)}
     return _frame(pandas, data, record.time_s, selected)
 
@@ -49,7 +49,7 @@ def record_to_pandas(record: Record, columns: Iterable[str] | None) -> pd.DataFr
 def to_xarray(records: Sequence[Record], columns: Iterable[str] | None) -> xr.Dataset:
     """Return the records along the dimension time; signals of coils and sensors have their own."""
     xarray = _package("xarray")
-    selected = _same_signals(records, _listed(columns))
+    selected = _same_signals(records, listed(columns))
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {
         "time": (
@@ -79,7 +79,7 @@ def to_arrow(
 ) -> pa.Table:
     """Return the columns of to_pandas as an Arrow table; a field's metadata has its unit."""
     arrow = _package("pyarrow")
-    selected = _same_signals(records, _listed(columns))
+    selected = _same_signals(records, listed(columns))
     fields, arrays = [], []
     if with_record:
         codes = np.repeat(np.arange(len(records), dtype=np.int32), [len(r.time_s) for r in records])
@@ -123,12 +123,6 @@ def _column_names(selected: SignalTable) -> list[str]:
 
 def _units(selected: SignalTable) -> dict[str, str]:
     return {column: signal.unit for signal in selected for column in signal.columns}
-
-
-def _listed(columns: Iterable[str] | None) -> list[str] | None:
-    if columns is None:
-        return None
-    return [columns] if isinstance(columns, str) else list(columns)
 
 
 def _package(name: str) -> ModuleType:

@@ -17,7 +17,7 @@ from ..log.errors import LogError
 from ..log.mcap_scan import scan
 from ..log.reader import Log, described_channel, mapped, rate_hz_of, read_log
 from .html_table import Table
-from .signal_table import SignalTable, signals_of
+from .signal_table import SignalInfo, SignalTable, listed, signals_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -138,12 +138,11 @@ class Record:
         Raises:
             LogError: the log has no such signal or column.
         """
-        from .signal_table import SignalInfo
-
-        if columns is None:
+        names = listed(columns)
+        if names is None:
             return SignalTable([s for s in self.signals if s.name != "time_s"])
         found = []
-        for name in [columns] if isinstance(columns, str) else columns:
+        for name in names:
             whole = [s for s in self.signals if s.name == name]
             part = [s for s in self.signals if name in s.columns]
             if not whole and not part:
@@ -189,7 +188,7 @@ class Record:
         """
         from ..log.exporting.export_log import ExportOptions, export_log
 
-        export_log(self.path, path, ExportOptions(columns=tuple(columns or ())))
+        export_log(self.path, path, ExportOptions(columns=tuple(listed(columns) or ())))
         return Path(path)
 
     def plot(self, columns: Iterable[str] | None = None) -> Figure:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from ..log.errors import LogError
 from .record import Record, record_table
-from .signal_table import SignalTable
+from .signal_table import SignalTable, listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -263,12 +263,15 @@ class Session:
     ) -> tuple[Path, ...]:
         """Write each record to a file of a folder, with units; return the paths.
 
+        A file has the name of its record, with - for /.
+
         Raises:
             LogError: a column does not exist, a file exists, or a package is missing.
         """
-        out, chosen = Path(folder), None if columns is None else tuple(columns)
+        out, names = Path(folder), listed(columns)
         out.mkdir(parents=True, exist_ok=True)
-        return tuple(r.export(out / f"{r.name}.{kind}", chosen) for r in self.records)
+        files = [out / f"{r.name.replace('/', '-')}.{kind}" for r in self.records]
+        return tuple(r.export(f, names) for r, f in zip(self.records, files, strict=True))
 
     def identify(
         self,

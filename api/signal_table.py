@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import overload
 
@@ -96,6 +96,13 @@ class SignalTable(Sequence[SignalInfo]):
             for s in self
         ]
         return Table(("signal", "unit", "role", "meaning"), rows)
+
+
+def listed(columns: Iterable[str] | None) -> list[str] | None:
+    """Return names as a list; a text is one name."""
+    if columns is None:
+        return None
+    return [columns] if isinstance(columns, str) else list(columns)
 
 
 def signals_of(

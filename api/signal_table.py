@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import overload
 
-from ..config.base import ConfigError, parse_text
-from ..log.importing.signals_yaml import SignalsFile
+from ..log.field_units import field_meanings
+from ..log.importing.signals_yaml import attached_signals
 from ..log.signals import SIGNALS
 from .html_table import Table
 
-_FIELD = re.compile(r"\S+\s+(?P<name>[a-z]\w*)\s*#\s*\[(?P<unit>[^\]]*)\]\s*(?P<meaning>.*)")
 _ROLES = (
     ("excitation", ("v_psi_n_m", "v_theta_n_m", "v_z_n", "coil_excitation_n")),
     ("input", ("tau_psi_n_m", "tau_theta_n_m", "tau_z_n", "coil_n")),
@@ -114,14 +112,11 @@ def signals_of(
     roles from signals.yaml, else from that table.
     """
     known = {s.name: (s.unit, s.description) for s in SIGNALS}
-    written = {
-        match["name"]: (match["unit"], match["meaning"])
-        for line in schema.splitlines()
-        if (match := _FIELD.match(line.strip()))
-    }
+    written = {name: (m.unit, m.meaning) for name, m in field_meanings(schema).items()}
+    imported = attached_signals(attachments)
     roles: Mapping[str, str] = _RIG_ROLES
-    if "signals.yaml" in attachments:
-        roles = _imported_roles(attachments["signals.yaml"])
+    if imported is not None:
+        roles = {c.name: "" if c.role == "other" else c.role for c in imported.columns}
     return tuple(
         SignalInfo(
             name,
@@ -137,11 +132,3 @@ def _described(
 ) -> tuple[str, str, str]:
     unit, meaning = written or known or ("", "")
     return unit, role, meaning or (known or ("", ""))[1]
-
-
-def _imported_roles(text: bytes) -> dict[str, str]:
-    try:
-        signals = parse_text(text, SignalsFile, "signals.yaml")
-    except ConfigError:  # the identification reports it
-        return {}
-    return {c.name: "" if c.role == "other" else c.role for c in signals.columns}

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...config.base import ConfigError, parse_text
 from ..errors import LogError
-from ..importing.signals_yaml import SignalsFile
+from ..importing.signals_yaml import attached_signals
 from ..log_stream import Block, LogStream
 
 TIME = "time_s"
@@ -70,6 +69,11 @@ class Column:
         values: NDArray[np.generic] = block.rows[self.field]
         return values if self.element is None else values[:, self.element]
 
+    def flat_values(self, block: Block) -> list[NDArray[np.generic]]:
+        """Return the values (n,) in a block for each of `flat_names`."""
+        values = self.values(block)
+        return [values] if values.ndim == 1 else list(values.T)
+
 
 def chosen_columns(log: LogStream, names: Sequence[str] = ()) -> tuple[Column, ...]:
     """Return the columns with these names, in their order; all of the log without names.
@@ -102,12 +106,8 @@ def chosen_columns(log: LogStream, names: Sequence[str] = ()) -> tuple[Column, .
 def groups_of(log: LogStream) -> dict[str, tuple[str, ...]]:
     """Return the fields of each group of this log; groups of imported logs are those of roles."""
     names = set(log.names)
-    text = log.attachments.get("signals.yaml")
-    if text is not None:
-        try:
-            signals = parse_text(text, SignalsFile, "signals.yaml")
-        except ConfigError:
-            return {}
+    signals = attached_signals(log.attachments)
+    if signals is not None:
         groups = {
             group: tuple(c.name for c in signals.columns if c.role == role and c.name in names)
             for group, role in _ROLE_GROUPS.items()

@@ -30,11 +30,7 @@ def write_csv(
         file.write(",".join(name for c in columns for name in c.flat_names).encode() + b"\n")
         for block in blocks:
             rows += len(block.rows)
-            cells: list[list[bytes]] = []
-            for column in columns:
-                values = column.values(block)
-                parts = [values] if values.ndim == 1 else list(values.T)
-                cells += [_texts(part) for part in parts]
+            cells = [_texts(part) for column in columns for part in column.flat_values(block)]
             file.writelines(b",".join(row) + b"\n" for row in zip(*cells, strict=True))
     return rows
 

@@ -12,8 +12,7 @@ from typing import Any
 
 import yaml
 
-from ...config.base import ConfigError, parse_text
-from ..importing.signals_yaml import SignalsFile
+from ..importing.signals_yaml import attached_signals
 from ..log_stream import LogStream
 from .columns import TIME, Column
 
@@ -58,7 +57,7 @@ def import_description(
         ]
     lines = [f"# {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in facts.items()]
     lines += ["levid: signals", f"rate_hz: {float(facts['rate_hz'])!r}", f"begins_s: {begin_s!r}"]
-    if not _attached(log):
+    if attached_signals(log.attachments) is None:
         lines.append("loop: {controller: unknown}")
     lines.append("columns:")
     lines += [f"  - {_flow(entry)}" for entry in entries]
@@ -73,7 +72,7 @@ def _role(name: str, names: set[str]) -> dict[str, Any]:
 
 def _imported_roles(log: LogStream) -> dict[str, dict[str, Any]]:
     """Return role, noise and resolution of each column of an imported log."""
-    signals = _attached(log)
+    signals = attached_signals(log.attachments)
     if signals is None:
         return {}
     found = {}
@@ -85,16 +84,6 @@ def _imported_roles(log: LogStream) -> dict[str, dict[str, Any]]:
         }
         found[column.name] = {"role": "other"} if column.role == "time" else kept
     return found
-
-
-def _attached(log: LogStream) -> SignalsFile | None:
-    text = log.attachments.get("signals.yaml")
-    if text is None:
-        return None
-    try:
-        return parse_text(text, SignalsFile, "signals.yaml")
-    except ConfigError:
-        return None
 
 
 def _flow(entry: Mapping[str, Any]) -> str:

@@ -11,8 +11,6 @@ from pathlib import Path
 from struct import Struct
 from typing import Any, BinaryIO, cast
 
-from numpy.typing import NDArray
-
 from ..errors import LogError
 from ..log_stream import Block
 from .columns import Column
@@ -57,9 +55,8 @@ def write_mat(
         for block in blocks:
             rows += len(block.rows)
             for column in columns:
-                values = column.values(block)
-                for name, one in zip(column.flat_names, _by_column(values), strict=True):
-                    spool.append(f"{column.name} {name}", one)
+                for name, part in zip(column.flat_names, column.flat_values(block), strict=True):
+                    spool.append(f"{column.name} {name}", part)
         texts = {
             "units": {c.name: c.unit for c in columns},
             "metadata": dict(facts),
@@ -68,10 +65,6 @@ def write_mat(
         for column in columns:
             _append_matrix(file, path, column, rows, spool)
     return rows
-
-
-def _by_column(values: NDArray[Any]) -> list[NDArray[Any]]:
-    return [values] if values.ndim == 1 else list(values.T)
 
 
 def _append_matrix(file: BinaryIO, path: Path, column: Column, rows: int, spool: Spool) -> None:

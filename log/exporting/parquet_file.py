@@ -41,10 +41,8 @@ def write_parquet(
         for group in _grouped(blocks):
             arrays = []
             for column in columns:
-                values = [column.values(block) for block in group]
-                whole = values[0] if len(values) == 1 else np.concatenate(values)
-                parts = [whole] if whole.ndim == 1 else list(whole.T)
-                arrays += [pa.array(np.ascontiguousarray(part)) for part in parts]
+                parts = zip(*map(column.flat_values, group), strict=True)
+                arrays += [pa.array(np.concatenate(part)) for part in parts]
             table = pa.Table.from_arrays(arrays, schema=schema)
             writer.write_table(table, row_group_size=len(table))
             rows += len(table)

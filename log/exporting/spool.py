@@ -41,10 +41,6 @@ class Spool:
             self._files[name] = path.open("w+b")
         self._files[name].write(np.ascontiguousarray(values).data.cast("B"))
 
-    def size(self, name: str) -> int:
-        """Return the number of bytes of a column."""
-        return self._files[name].tell()
-
     def copy(self, name: str, out: BinaryIO) -> None:
         """Append a column's bytes to `out`."""
         file = self._files[name]

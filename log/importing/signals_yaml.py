@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
-from ...config.base import Finite, NonNegative, Positive, Strict
+from ...config.base import ConfigError, Finite, NonNegative, Positive, Strict, parse_text
 from ...config.controller import ControllerConfig
 from ...config.units import known_unit
 
@@ -180,3 +181,14 @@ class SignalsFile(Strict):
     def with_role(self, role: Role) -> tuple[Column, ...]:
         """Return the columns of one role, in the order of the file."""
         return tuple(column for column in self.columns if column.role == role)
+
+
+def attached_signals(attachments: Mapping[str, bytes]) -> SignalsFile | None:
+    """Return the SIGNALS.yaml of an imported log; None without a valid one."""
+    text = attachments.get("signals.yaml")
+    if text is None:
+        return None
+    try:
+        return parse_text(text, SignalsFile, "signals.yaml")
+    except ConfigError:  # the identification reports it
+        return None

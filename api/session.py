@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..log.errors import LogError
+from ..log.importing.data_suffixes import FORMAT_OF_SUFFIX
 from .record import Record, record_table
 from .signal_table import SignalTable, listed
 
@@ -366,12 +367,6 @@ class Session:
         return Session, (self.logs, self.model)
 
 
-def _is_data(path: Path) -> bool:
-    from ..log.importing.importer import DATA_SUFFIXES
-
-    return path.suffix.lower() in DATA_SUFFIXES
-
-
 def _with_folder(record: Record) -> str:
     return f"{record.path.parent.name}/{record.name}"
 
@@ -382,7 +377,7 @@ def _with_path(record: Record) -> str:
 
 def _logs_of(path: Path) -> list[Path]:
     if not path.is_dir():
-        if path.suffix != ".mcap" and path.is_file() and _is_data(path):
+        if path.suffix != ".mcap" and path.is_file() and path.suffix.lower() in FORMAT_OF_SUFFIX:
             raise LogError(
                 f"{path}: expected signals=SIGNALS.yaml for a data file, which describes its "
                 f"columns; `levid new signals {path} -o SIGNALS.yaml` writes a draft"

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..log.importing.data_suffixes import FORMAT_OF_SUFFIX
+
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
@@ -84,6 +86,6 @@ SIGNALS = FilePath(*_YAML, kind="signals")
 YAML = FilePath(*_YAML)
 LOG = FilePath(".mcap")
 YAML_OR_LOG = FilePath(*_YAML, ".mcap")
-DATA = FilePath(".csv", ".txt", ".dat", ".tsv", ".npz", ".npy", ".mat")
+DATA = FilePath(*FORMAT_OF_SUFFIX)
 ANY = FilePath()
 FOLDER = FilePath(files=False)

@@ -17,6 +17,7 @@ from ..errors import LogError
 from ..writer import LogWriter
 from .array_variables import load_npz, read_variables
 from .clipping import clipping_remarks
+from .data_suffixes import FORMAT_OF_SUFFIX
 from .delimited_text import TextColumns, read_delimited
 from .header_units import unit_slip
 from .mat_file_reader import read_mat
@@ -32,18 +33,6 @@ REMARKS = "remarks"
 _NEEDED: tuple[Role, ...] = ("input", "output")
 _LONGEST_S = 9e9
 """MCAP readers expect times in ns that fit a signed 64-bit integer."""
-
-_FORMATS: dict[str, Format] = {
-    ".csv": "csv",
-    ".txt": "text",
-    ".dat": "text",
-    ".asc": "text",
-    ".npz": "npz",
-    ".npy": "npz",
-    ".mat": "mat",
-}
-DATA_SUFFIXES = frozenset(_FORMATS)
-"""Suffixes of data files whose format is known."""
 
 
 @dataclass(frozen=True)
@@ -189,10 +178,10 @@ def _scaled(where: str, raw: Array, scale: float, offset: float, signals: Signal
 
 def file_format(path: Path, stated: Format | None = None) -> Format:
     """Return the format of a data file, by its suffix if it is not stated; raise LogError."""
-    kind = stated or _FORMATS.get(path.suffix.lower())
+    kind = stated or FORMAT_OF_SUFFIX.get(path.suffix.lower())
     if kind is None:
         raise LogError(
-            f"{path}: expected one of {', '.join(_FORMATS)}; "
+            f"{path}: expected one of {', '.join(FORMAT_OF_SUFFIX)}; "
             "for another suffix set format: csv, text, npz or mat in the signals file"
         )
     if not path.is_file():

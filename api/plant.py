@@ -83,12 +83,8 @@ class Plant:
 
     def response(self, freq_hz: NDArray[np.floating]) -> NDArray[np.complex128]:
         """Return the frequency response (F, outputs, inputs) at freq_hz (F,) in Hz."""
-        from ..model.second_order import StateSpace
-
         at_hz = np.atleast_1d(np.asarray(freq_hz, np.float64))
-        model = StateSpace(self.A, self.B, self.C, self.D, self.Ts_s)
-        late = np.exp(-2j * np.pi * at_hz * self.delay_s)
-        return np.asarray(model.response(at_hz) * late[:, None, None])
+        return self._state_space().response(at_hz, self.delay_s)
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the eigenvalues of A."""

@@ -39,16 +39,14 @@ class StateSpace:
     D: Array
     Ts_s: float
 
-    def response(self, freq_hz: Array) -> NDArray[np.complex128]:
-        """Return the frequency response (F, m, p) at freq_hz (F,)."""
+    def response(self, freq_hz: Array, delay_s: float = 0.0) -> NDArray[np.complex128]:
+        """Return the frequency response (F, m, p) at freq_hz (F,), with a delay of the inputs."""
         s = 2j * np.pi * np.asarray(freq_hz, float)
         points = np.exp(s * self.Ts_s) if self.Ts_s > 0 else s
         n = len(self.A)
         shifted = points[:, None, None] * np.eye(n) - self.A
-        return np.asarray(
-            self.C @ np.linalg.solve(shifted, np.broadcast_to(self.B, (len(points), *self.B.shape)))
-            + self.D
-        )
+        H = self.C @ np.linalg.solve(shifted, np.broadcast_to(self.B, (len(s), *self.B.shape)))
+        return np.asarray((H + self.D) * np.exp(-s * delay_s)[:, None, None])
 
 
 def state_space(model: SecondOrder) -> StateSpace:

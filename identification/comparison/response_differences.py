@@ -143,8 +143,7 @@ def _response(
 ) -> ModelResponse:
     def response(values: Mapping[str, float]) -> Complex:
         point = model.with_values(values).at(at)
-        late = np.exp(-2j * np.pi * freq_hz * point.delay_s)
-        return np.asarray(lagged(point).response(freq_hz) * late[:, None, None])
+        return lagged(point).response(freq_hz, point.delay_s)
 
     H = response({})
     errors = result.standard_errors

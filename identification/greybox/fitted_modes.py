@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.declared_model import DeclaredModel
+from ...model.second_order import state_space
 from ..subspace.response_uncertainty import Modes
 from .fit import Fit
 
@@ -55,15 +56,7 @@ def fitted_modes(fit: Fit, schedule: Mapping[str, float]) -> Modes:
 
 def _poles(model: DeclaredModel, schedule: Mapping[str, float]) -> Complex:
     """Return the poles (k,) in rad/s with imaginary part >= 0, by ascending size."""
-    at = model.at(schedule)
-    n = len(at.M)
-    A = np.block(
-        [
-            [np.zeros((n, n)), np.eye(n)],
-            [-np.linalg.solve(at.M, at.K), -np.linalg.solve(at.M, at.D)],
-        ]
-    )
-    s = np.linalg.eigvals(A).astype(complex)
+    s = np.linalg.eigvals(state_space(model.at(schedule)).A).astype(complex)
     s = s[(s.imag >= 0) & (np.abs(s) > 0)]
     return np.asarray(s[np.argsort(np.abs(s), kind="stable")])
 

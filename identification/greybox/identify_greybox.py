@@ -60,8 +60,7 @@ class GreyBox:
         response.
         """
         model, delay_s = self.state_space(schedule)
-        late = np.exp(-2j * np.pi * np.asarray(freq_hz) * delay_s)
-        return np.asarray(model.response(freq_hz) * late[:, None, None])
+        return model.response(freq_hz, delay_s)
 
     def state_space(self, schedule: Mapping[str, float]) -> tuple[StateSpace, float]:
         """Return the plant from command to output, and its separate input delay in s.

@@ -10,20 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..config.sim import SimConfig
-from ..identification.greybox.identify_greybox import GreyBox, to_yaml
+from ..identification.greybox.identify_greybox import GreyBox
 from ..identification.records.record import IdentificationError
 from ..identification.results import ClosedLoopPoint, OpenLoopPoint
 from ..identification.run_identification import Study
 from ..log.catalogue.results import RESULT
-from .model import (
-    Model,
-    Parameter,
-    Parameters,
-    model_of_config,
-)
+from .model import Model, Parameter, Parameters, model_of_config
 from .output_folder import claimed_folder
 from .plant import Mode, Modes, Plant, beam_text, plant_of
-from .result_file import save_result, with_origin
+from .result_file import REPORT_FILES, REPORT_FOLDERS, save_result, with_origin
 
 if TYPE_CHECKING:
     import control
@@ -34,8 +29,6 @@ if TYPE_CHECKING:
     from .session import Session
 
 Method = Literal["recommended", "subspace", "ho_kalman", "prediction_error", "fitted"]
-REPORT_FILES, REPORT_FOLDERS = ("model.yaml", RESULT, "index.html"), ("figures",)
-"""What a report writes into its folder."""
 _SAME_POSITION_M = 1e-3
 
 
@@ -179,19 +172,17 @@ class Identification:
             ConfigError: the folder cannot be written.
         """
         from ..report.identification.identification_page import identification_report
-        from ..report.plotting.atomic_write import replace_text
         from ..report.session.flight_data import read_session
+        from .session import first_flight
 
-        out, found, logs = Path(folder), self._found, self._session.logs
+        out, found = Path(folder), self._found
         with claimed_folder(out, REPORT_FILES, REPORT_FOLDERS):
             # Save the model first: the results of a long fit survive an error in the report.
             if found.grey is not None:
-                replace_text(out / "model.yaml", to_yaml(found.grey.fitted))
-            # Plant time is continuous within a session only: the page shows the first log's.
-            own = [path for path in logs if path.parent == logs[0].parent]
+                self.model.save(out / "model.yaml")
             self._page = identification_report(
                 found.points,
-                read_session(own) if self._flown else None,
+                read_session(first_flight(self._session.logs)) if self._flown else None,
                 out,
                 self.truth,
                 found.grey,
@@ -210,12 +201,10 @@ class Identification:
         Raises:
             ConfigError: the folder cannot be written.
         """
-        from ..report.plotting.atomic_write import replace_text
-
         out = Path(folder)
         with claimed_folder(out, ("model.yaml", RESULT, "identified.mat")):
             if self._found.grey is not None:
-                replace_text(out / "model.yaml", to_yaml(self._found.grey.fitted))
+                self.model.save(out / "model.yaml")
             save_result(out, self.to_json())
             self.write_mat(out)
         return out

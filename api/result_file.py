@@ -9,6 +9,9 @@ from typing import Any
 
 from ..log.catalogue.results import RESULT
 
+REPORT_FILES, REPORT_FOLDERS = ("model.yaml", RESULT, "index.html"), ("figures",)
+"""What the report of an identification or a trace writes into its folder."""
+
 
 def with_origin(command: str, logs: Sequence[Path], plain: Mapping[str, Any]) -> dict[str, Any]:
     """Return a result with its `command` and the absolute paths of its `logs`.

@@ -344,7 +344,7 @@ class Session:
         from .signal_plot import flight_plot, signal_plot
 
         if columns is None and "rig.yaml" in self.steps[0].attachments:
-            return flight_plot(self.logs)
+            return flight_plot(first_flight(self.logs))
         return signal_plot(self.records, columns)
 
     def __repr__(self) -> str:
@@ -365,6 +365,11 @@ class Session:
 
     def __reduce__(self) -> tuple[type[Session], tuple[tuple[Path, ...], ModelSource | None]]:
         return Session, (self.logs, self.model)
+
+
+def first_flight(logs: Sequence[Path]) -> list[Path]:
+    """Return the logs in the folder of the first log: time is continuous within a flight only."""
+    return [path for path in logs if path.parent == logs[0].parent]
 
 
 def _with_folder(record: Record) -> str:

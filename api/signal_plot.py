@@ -30,9 +30,7 @@ def flight_plot(logs: Sequence[Path]) -> Figure:
     from ..report.session.flight_data import read_session
     from ..report.session.time_plot import session_plot
 
-    # Plant time is continuous within a session only.
-    own = [path for path in logs if path.parent == logs[0].parent]
-    return shown(session_plot(read_session(own)))
+    return shown(session_plot(read_session(logs)))
 
 
 def signal_plot(records: Sequence[Record], columns: Iterable[str] | None) -> Figure:

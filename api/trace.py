@@ -23,7 +23,7 @@ from .model import (
     model_of_config,
 )
 from .output_folder import claimed_folder
-from .result_file import save_result, with_origin
+from .result_file import REPORT_FILES, REPORT_FOLDERS, save_result, with_origin
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from ..identification.trace.force_regression.trace_imported import ForceTrace
     from ..identification.trace.run_trace import Trace as RigTraceResult
     from .session import Progress, Session, Warn
-
-REPORT_FILES, REPORT_FOLDERS = ("model.yaml", RESULT, "index.html"), ("figures",)
-"""What a report writes into its folder."""
 
 
 def trace(

@@ -12,7 +12,7 @@ import click
 from .entry import STOPPED
 from .path_types import FOLDER
 from .progress import say
-from .rig_socket import RIG, socket_of
+from .rig_socket import rig_option, socket_of
 from .status_text import status_lines
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -25,7 +25,7 @@ _IF_GONE = click.option(
 
 
 @click.command("status")
-@RIG
+@rig_option
 @_JSON
 def status(rig_path: Path | None, as_json: bool) -> int:
     """Print the daemon's state: fault or session, pose, beam, rotor, coils, gaps, lateness.
@@ -47,7 +47,7 @@ def status(rig_path: Path | None, as_json: bool) -> int:
 
 
 @click.command("levitate")
-@RIG
+@rig_option
 @_JSON
 @click.option("--out", type=FOLDER, help="Folder for a log. Default: no log.")
 @click.option(
@@ -96,7 +96,7 @@ def levitate(
 @click.command("move")
 @click.option("--beam-m", metavar="M", type=float, help="Target position of the beam in m.")
 @click.option("--rotor-rad", metavar="RAD", type=float, help="Target angle of the rotor in rad.")
-@RIG
+@rig_option
 @_JSON
 @_IF_GONE
 def move(
@@ -124,7 +124,7 @@ def move(
 
 
 @click.command("land")
-@RIG
+@rig_option
 @_JSON
 def land(rig_path: Path | None, as_json: bool) -> int:
     """End the running session: the platform lands now.
@@ -139,7 +139,7 @@ def land(rig_path: Path | None, as_json: bool) -> int:
 
 
 @click.command("stop")
-@RIG
+@rig_option
 @_JSON
 def stop(rig_path: Path | None, as_json: bool) -> int:
     """Set all coil forces to zero immediately; the platform drops onto its stops.
@@ -155,7 +155,7 @@ def stop(rig_path: Path | None, as_json: bool) -> int:
 
 
 @click.command("clear")
-@RIG
+@rig_option
 @_JSON
 def clear(rig_path: Path | None, as_json: bool) -> int:
     """Clear a fault after its cause is removed, so that the daemon accepts sessions again.

@@ -123,8 +123,8 @@ def identify_logs(
         ConfigError: `out` cannot be written, or a model or simulator file is wrong.
         IdentificationError: the logs cannot be identified.
     """
-    from ..api.identification import REPORT_FILES, REPORT_FOLDERS
     from ..api.identify import identify
+    from ..api.result_file import REPORT_FILES, REPORT_FOLDERS
     from ..api.session import Session
     from ..identification.options import Options
 

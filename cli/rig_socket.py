@@ -8,12 +8,12 @@ from pathlib import Path
 
 import click
 
-from . import path_types
+from .path_types import RIG
 
-RIG = click.option(
+rig_option = click.option(
     "--rig",
     "rig_path",
-    type=path_types.RIG,
+    type=RIG,
     help="RIG.yaml that names the daemon's socket. Default: the default socket.",
 )
 

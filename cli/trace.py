@@ -125,8 +125,9 @@ def trace_logs(
         ConfigError: `out` cannot be written, or the model file is wrong.
         IdentificationError: the logs cannot be traced.
     """
+    from ..api.result_file import REPORT_FILES, REPORT_FOLDERS
     from ..api.session import Session
-    from ..api.trace import REPORT_FILES, REPORT_FOLDERS, trace
+    from ..api.trace import trace
 
     claim = claimed_folder(out, REPORT_FILES, REPORT_FOLDERS)
     with naming_options(), claim, progress("tracing") as report:

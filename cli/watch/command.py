@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from ..rig_socket import RIG, socket_finder
+from ..rig_socket import rig_option, socket_finder
 from ..status_text import fault_lines, watch_line
 
 _SCREEN_S, _LINES_S = 0.2, 0.5
@@ -19,7 +19,7 @@ _NO_SCREEN = ("dumb", "unknown", "")
 
 
 @click.command("watch")
-@RIG
+@rig_option
 @click.option("--lines", is_flag=True, help="Print lines instead of the full screen.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
 @click.option(

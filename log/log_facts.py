@@ -1,4 +1,4 @@
-"""Read who flew a log, what and when: from its metadata and attachments."""
+"""Read rig, versions and date of a log from its attachments and log times."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from pathlib import Path
 
 import yaml
 
-VIRTUAL_FROM_NS, VIRTUAL_TO_NS = 1_577_836_800_000_000_000, 1_577_836_800_000_000_000 + 10**16
-"""Log times of flights in virtual time: they begin at a fixed date, 2020-01-01."""
+VIRTUAL_EPOCH_NS = 1_577_836_800_000_000_000
+"""Log time of cycle 0 in virtual time, 2020-01-01T00:00:00Z: logs of equal runs are identical."""
+_LONGEST_VIRTUAL_NS = 10**16
+"""Longest flight in virtual time, 116 days; later log times are dates."""
 
 
 def rig_name(attachments: Mapping[str, bytes]) -> str:
@@ -36,17 +38,19 @@ def versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
 
 def is_virtual(first_log_time_ns: int) -> bool:
     """Return whether a log was flown in virtual time, where log times tell no date."""
-    return VIRTUAL_FROM_NS <= first_log_time_ns < VIRTUAL_TO_NS
+    return 0 <= first_log_time_ns - VIRTUAL_EPOCH_NS < _LONGEST_VIRTUAL_NS
 
 
-def date_of(path: Path, first_log_time_ns: int) -> datetime:
-    """Return when a log was flown, in UTC: its first log time, else the file's date.
-
-    Imported data and virtual flights have log times that are no dates.
-    """
-    if is_virtual(first_log_time_ns) or first_log_time_ns < VIRTUAL_FROM_NS:
-        return datetime.fromtimestamp(path.stat().st_mtime, UTC)
+def flight_date(first_log_time_ns: int, attachments: Mapping[str, bytes]) -> datetime | None:
+    """Return when a log was flown, in UTC; None for a virtual flight and for imported data."""
+    if "signals.yaml" in attachments or first_log_time_ns < VIRTUAL_EPOCH_NS + _LONGEST_VIRTUAL_NS:
+        return None
     return datetime.fromtimestamp(first_log_time_ns / 1e9, UTC)
+
+
+def file_date(*paths: Path) -> datetime:
+    """Return when the newest of these files was written, in UTC."""
+    return datetime.fromtimestamp(max(path.stat().st_mtime for path in paths), UTC)
 
 
 def printable(text: str) -> str:

@@ -11,7 +11,7 @@ import yaml
 
 from .exporting.columns import Column, chosen_columns
 from .exporting.export_log import time_of
-from .log_facts import date_of, is_virtual, printable, rig_name, versions
+from .log_facts import file_date, flight_date, is_virtual, printable, rig_name, versions
 from .log_stream import LogStream
 
 _AT_LIMIT = 1.0 - 1e-6
@@ -110,7 +110,7 @@ def summarise_log(path: Path | str) -> LogSummary:
         rig=rig_name(log.attachments),
         session=metadata.get("session", ""),
         note=metadata.get("note", ""),
-        flown=date_of(log.path, first_ns),
+        flown=flight_date(first_ns, log.attachments) or file_date(log.path),
         virtual=is_virtual(first_ns),
         rate_hz=log.rate_hz,
         rows=counts.rows,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
-VIRTUAL_EPOCH_NS = 1_577_836_800_000_000_000
-"""Log time of cycle 0 in virtual time, 2020-01-01T00:00:00Z: logs of equal runs are identical."""
+from ...log.log_facts import VIRTUAL_EPOCH_NS
 
 _SPIN_NS, _MIN_PERIOD_OVER_SPIN = 50_000, 5
 

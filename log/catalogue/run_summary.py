@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from hashlib import blake2s
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 
 from ..errors import LogError
 from ..exporting.export_log import time_of
-from ..log_facts import date_of, is_virtual, printable, rig_name, versions
+from ..log_facts import file_date, flight_date, is_virtual, printable, rig_name, versions
 from ..log_stream import Block, LogStream
 
 
@@ -71,11 +70,8 @@ def summarise_run(folder: str, logs: Sequence[Path]) -> RunSummary:
             found.append(_LogHead(path))
         except LogError:
             unreadable += 1
-    newest = max(path.stat().st_mtime for path in logs)
     first = min(found, key=lambda log: log.begin_s, default=None)
-    flown = datetime.fromtimestamp(newest, UTC) if first is None else first.flown
-    if first is not None and first.undated:
-        flown = datetime.fromtimestamp(newest, UTC)
+    flown = (first and first.flown) or file_date(*logs)
     return RunSummary(
         folder=folder,
         flown=flown.isoformat(timespec="seconds"),
@@ -98,16 +94,16 @@ def summarise_run(folder: str, logs: Sequence[Path]) -> RunSummary:
 
 
 class _LogHead:
-    """What head, first and last chunk of a log tell."""
+    """Summarise a log from its head, its first chunk and its last one."""
 
     def __init__(self, path: Path) -> None:
         log = LogStream(path)
         first = log.first_block()
         assert first is not None  # a LogStream without rows is an error
         last = log.last_block() or first
-        self.undated = is_virtual(int(first.log_time_ns[0])) or "signals.yaml" in log.attachments
-        self.virtual = is_virtual(int(first.log_time_ns[0]))
-        self.flown = date_of(path, int(first.log_time_ns[0]))
+        first_ns = int(first.log_time_ns[0])
+        self.virtual = is_virtual(first_ns)
+        self.flown = flight_date(first_ns, log.attachments)
         self.rig = rig_name(log.attachments)
         metadata = {key: printable(value) for key, value in log.metadata.items()}
         self.session, self.note = metadata.get("session", ""), metadata.get("note", "")

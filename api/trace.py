@@ -65,7 +65,7 @@ def trace(
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that the records do not tell from another one; support: 0 to 1."""
+    """An effect that the records do not distinguish from another one; support: 0 to 1."""
 
     name: str
     kind: str
@@ -127,15 +127,16 @@ class Effects(tuple[FoundEffect, ...]):
 class Validation:
     """Error on held-out records before and after the trace, and the noise floor.
 
-    metric: free_run, prediction or force; `about` says what it measures. noise_floor: None if the
-    records do not tell noise from the model's error. percent_before, percent_after: error over
-    output by DOF, in %. `details`: the object of the JSON, see docs/trace-json.md.
+    metric: free_run, prediction or force; `about` says what it measures. before, after: None if the
+    error is not a number. noise_floor: None if the records do not separate noise from model
+    error. percent_before, percent_after: error over output by DOF, in %. `details`: the object of
+    the JSON, see docs/trace-json.md.
     """
 
     metric: str
     about: str
-    before: float
-    after: float
+    before: float | None
+    after: float | None
     noise_floor: float | None
     percent_before: Mapping[str, float | None]
     percent_after: Mapping[str, float | None]
@@ -143,9 +144,10 @@ class Validation:
 
     def __str__(self) -> str:
         floor = "" if self.noise_floor is None else f", noise floor {self.noise_floor:.3g}"
+        before, after = ("?" if e is None else f"{e:.3g}" for e in (self.before, self.after))
         if self.metric == "force":
-            return f"missing force {self.before:.3g} % before, {self.after:.3g} % after"
-        return f"error over noise {self.before:.3g} before, {self.after:.3g} after{floor}"
+            return f"missing force {before} % before, {after} % after"
+        return f"error over noise {before} before, {after} after{floor}"
 
 
 class Trace(ABC):

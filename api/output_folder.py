@@ -70,9 +70,7 @@ def writable_folder(out: Path, files: Iterable[str] = (), folders: Iterable[str]
     """
     if out.is_symlink() and not out.exists():
         raise OutputFolderError(f"{out}: expected a folder, found a link to a missing path")
-    existing = out.absolute()
-    while not existing.exists():
-        existing = existing.parent
+    existing = nearest_existing(out)
     if not existing.is_dir():
         found = "a file" if existing == out.absolute() else f"the file {existing}"
         raise OutputFolderError(f"{out}: expected a folder, found {found}")
@@ -87,6 +85,14 @@ def writable_folder(out: Path, files: Iterable[str] = (), folders: Iterable[str]
         inner = out / name
         if inner.exists() and not (inner.is_dir() and os.access(inner, os.W_OK | os.X_OK)):
             raise OutputFolderError(f"{out}: expected {name} to be a writable folder")
+
+
+def nearest_existing(path: Path) -> Path:
+    """Return the absolute path, or the nearest path above it that exists."""
+    path = path.absolute()
+    while not path.exists():
+        path = path.parent
+    return path
 
 
 def folder_without_logs(out: Path) -> None:

@@ -232,8 +232,9 @@ def _measured(axis: Axis, way: float) -> Future[float | None]:
             answer.set_result(None)
 
     say(
-        f"The {axis} moved by {way / factor:g} {unit}, says its encoder. Measure how far it went "
-        f"{where} in {unit} (negative: the other way), and type it; Enter: not measured."
+        f"The encoder reports that the {axis} moved by {way / factor:g} {unit}. Measure how far it "
+        f"moved {where} in {unit} (negative: the other way) and type the number, or press Enter to "
+        "skip."
     )
     threading.Thread(target=read, daemon=True).start()
     return answer

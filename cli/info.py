@@ -125,7 +125,7 @@ def _log_lines(logs: Sequence[LogSummary]) -> list[str]:
 def _row(log: LogSummary) -> tuple[str, ...]:
     beam = ""
     if log.beam_m is not None:
-        low, high = (f"{1e3 * x:.0f}" for x in log.beam_m)
+        low, high = (f"{1e3 * x:z.0f}" for x in log.beam_m)
         beam = low if low == high else f"{low} to {high}"
     return (
         log.path.name,
@@ -133,7 +133,7 @@ def _row(log: LogSummary) -> tuple[str, ...]:
         f"{log.begin_s:.3f}",
         f"{log.length_s:.3f}",
         str(log.rows),
-        beam.replace("-0", "0") if beam == "-0" else beam,
+        beam,
         "; ".join(_remarks(log)) or "none",
     )
 
@@ -157,16 +157,19 @@ def fault_text(code: int) -> str:
     """Return name and cause of a fault by its code in the log."""
     from ..daemon.control.faults import FAULTS, Fault
 
-    try:
-        fault = Fault(code)
-    except ValueError:
-        return f"{code}: not known to this version of levid"
-    return f"{fault.name}: {FAULTS[fault].cause}"
+    name = fault_name(code)
+    known = name in Fault.__members__
+    return f"{name}: {FAULTS[Fault[name]].cause if known else 'not known to this version of levid'}"
 
 
 def fault_name(code: int) -> str:
-    """Return the name of a fault by its code in the log."""
-    return fault_text(code).partition(":")[0]
+    """Return the name of a fault by its code in the log; the code if it is not known."""
+    from ..log.cycle_codes import Fault
+
+    try:
+        return Fault(code).name
+    except ValueError:
+        return str(code)
 
 
 def _column_lines(logs: Sequence[LogSummary]) -> list[str]:

@@ -27,7 +27,7 @@ def command(rig: Path, out: Path) -> int:
       levid layout config/rigs/loopback.yaml --out layouts
     """
     from ..config.rig import load_rig
-    from ..log.errors import LogError
+    from ..log.errors import LogError, reason
     from ..log.viewer_layouts import layouts
 
     geometry = load_rig(rig).geometry
@@ -38,5 +38,5 @@ def command(rig: Path, out: Path) -> int:
             (out / name).write_text(text, encoding="utf-8")
             click.echo(f"{out / name}: written")
     except OSError as error:
-        raise LogError(f"{out}: cannot be written: {error.strerror}") from None
+        raise LogError(f"{out}: cannot be written: {reason(error)}") from None
     return 0

@@ -108,6 +108,7 @@ def session_findings(
 
 def _disk(rig: RigConfig, rig_path: Path, out: Path, needed_bytes: int) -> Finding:
     """Return whether the daemon takes the folder and its disk has room; create nothing."""
+    from ..api.output_folder import nearest_existing
     from ..daemon.control.preflight_findings import Check, Finding
     from ..daemon.planning.log_folder import disk_finding, folder_problem
 
@@ -116,10 +117,7 @@ def _disk(rig: RigConfig, rig_path: Path, out: Path, needed_bytes: int) -> Findi
     problem = folder_problem(out.absolute(), limit)
     if problem:
         return Finding.of(Check.DISK, False, problem, "choose another folder")
-    existing = out.absolute()
-    while not existing.exists():
-        existing = existing.parent
-    return disk_finding(existing, needed_bytes)
+    return disk_finding(nearest_existing(out), needed_bytes)
 
 
 def _print(name: str, findings: Sequence[Finding]) -> None:

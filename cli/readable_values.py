@@ -29,8 +29,7 @@ class Scale:
         """Return a value without its unit; "-" if there is none."""
         if value is None:
             return "-"
-        shown = f"{self.factor * value:.{self.decimals}f}"
-        return shown[1:] if not float(shown) and shown.startswith("-") else shown
+        return f"{self.factor * value:z.{self.decimals}f}"
 
     def limit(self, value: float | None) -> str:
         """Return a limit without its unit; "-" if there is none."""

@@ -46,8 +46,8 @@ def status_lines(status: Status) -> Iterator[str]:
 def watch_line(status: Status) -> str:
     """Return one line of at most WIDTH characters: cycle, late cycles, z, beam, activity."""
     z_m, beam_m = status["z_m"], status["beam_m"]
-    position = "" if z_m is None else f"  z {round(1e6 * z_m, 1) + 0.0:6.1f} um"
-    position += "" if beam_m is None else f"  beam {round(1e3 * beam_m, 2) + 0.0:6.2f} mm"
+    position = "" if z_m is None else f"  z {1e6 * z_m:z6.1f} um"
+    position += "" if beam_m is None else f"  beam {1e3 * beam_m:z6.2f} mm"
     stale = f"  {status['stale']} stale" if status["stale"] else ""
     counts = f"{status['cycle']:>9d} {status['late']:>4d} late{stale}"
     return shortened(f"{counts}{position}  {activity(status)}", WIDTH)

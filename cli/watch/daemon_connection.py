@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ...api.output_folder import nearest_existing
 from ...daemon.client import Client, DaemonError
 
 _AGAIN_S = 1.0
@@ -101,10 +102,8 @@ class DaemonConnection:
             self._disk.start()
 
     def _find_free(self, folder: Path) -> None:
-        while not folder.exists() and folder != folder.parent:
-            folder = folder.parent
         try:
-            found = os.statvfs(folder)
+            found = os.statvfs(nearest_existing(folder))
         except OSError:
             self._on_free(None)
         else:

@@ -136,6 +136,6 @@ def test_command_asks_for_what_is_measured(levid, tmp_path: Path, monkeypatch) -
     monkeypatch.setattr("sys.stdin", io.StringIO("20.5\nnobody\n"))
     outcome = levid("commission", path, "--out", tmp_path / "new.yaml", "--measure")
     assert outcome.code == 0, outcome.out
-    assert "The beam moved by 20 mm, says its encoder." in outcome.err
+    assert "The encoder reports that the beam moved by 20 mm." in outcome.err
     assert "the way of the rotor was not measured by hand" in outcome.out
     assert "the heights follow a coil's command after 2.5" in outcome.out

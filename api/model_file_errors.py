@@ -9,7 +9,7 @@ from pathlib import Path
 
 @contextmanager
 def naming_the_file(model: Path | None) -> Iterator[None]:
-    """Raise ConfigError with the file for a ModelError; what has no file stays as it is."""
+    """Raise ConfigError with the file for a ModelError; without a file, change no error."""
     from ..config.base import ConfigError
     from ..model.declared_model import ModelError
 

@@ -30,7 +30,7 @@ _UNTIMED = np.zeros(0, np.uint64)
 
 @dataclass(frozen=True)
 class _Head:
-    """What a log says of itself before its rows; rows and rate_hz are None if only rows tell."""
+    """Facts of a log that are known without its rows; rows, rate_hz: None if they are not."""
 
     metadata: Mapping[str, str]
     attachments: Mapping[str, bytes]

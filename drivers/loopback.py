@@ -38,7 +38,7 @@ class LoopbackBackend(Backend):
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:  # noqa: ARG002
         """Build the plant, at rest on its stops."""
-        from ..sim.plant import Plant  # compiled: whoever only checks a rig does not wait for it
+        from ..sim.plant import Plant  # compiles: a check of a rig must not wait for it
 
         path, config = _sim_config(context)
         self._sim, self._plant = config, Plant(config, context.period_s, source=path)

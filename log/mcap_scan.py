@@ -36,7 +36,7 @@ MESSAGE_HEAD_BYTES = RECORD_HEAD.size + 22
 # A corrupt size must not allocate gigabytes; common writers make chunks of 1 to 16 MiB.
 MAX_CHUNK_BYTES = 256 << 20
 _LZ4_BEST_RATIO = 255
-_TOLD_BYTES = 8 << 20
+_REPORTED_BYTES = 8 << 20
 _RUN_BYTES = 16 << 20
 """Size at which a run of messages outside of chunks ends, so that threads can share the runs."""
 HEAD = "levid-head"
@@ -206,10 +206,10 @@ class _Scan:
         """Read all records; raise LogError at the first that is damaged, or if there is no end."""
         data, start = self._data, len(MCAP0_MAGIC)
         run, run_begin, run_end = Chunk("", b"", 0, 0, 0, 0), 0, 0
-        end = told = start
+        end = reported = start
         for opcode, at, end in records(data, start):
-            if end - told > _TOLD_BYTES:
-                told = end
+            if end - reported > _REPORTED_BYTES:
+                reported = end
                 self._passed(end)
             if opcode == 0 or Opcode.DATA_END < opcode < 0x80:
                 raise LogError(f"byte {at}: expected an MCAP record, found opcode 0x{opcode:02x}")

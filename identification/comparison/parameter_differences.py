@@ -82,8 +82,8 @@ def parameter_differences(a: SavedResult, b: SavedResult) -> tuple[Difference, .
 def whole_model_test(a: SavedResult, b: SavedResult) -> tuple[float, int, float] | None:
     """Return chi-square, degrees of freedom and p-value of equal parameters (Wald's test).
 
-    It is of the parameters that both results fitted, correlations included; None if one has no
-    covariance with correlations, or they have no parameter in common.
+    The test covers the parameters that both results fitted, with their correlations. Return None if
+    a result has no correlations, or no parameter is common.
     """
     from scipy.stats import chi2
 

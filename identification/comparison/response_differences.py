@@ -117,7 +117,7 @@ def compare_responses(
 
 
 def _dimensions(a: SavedResult, b: SavedResult) -> int:
-    """Return of how many independent differences the deviation of the responses is made."""
+    """Return the number of parameter differences that the responses' deviation depends on."""
     alike = all(getattr(a.model, key) == getattr(b.model, key) for key in _MATRICES)
     if alike:
         return max(len(set(a.free) | set(b.free)), 1)

@@ -23,7 +23,7 @@ def fitted_modes(fit: Fit, schedule: Mapping[str, float]) -> Modes:
     """Return the modes of M q'' + D q' + K q at a scheduling point, without lag and delay.
 
     Standard errors are to first order in those of the parameters; fixed parameters count as exact.
-    Of a complex pair one pole is listed.
+    One pole of a complex pair is listed.
     """
     poles = _poles(fit.model, schedule)
     slopes = []

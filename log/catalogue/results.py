@@ -1,4 +1,4 @@
-"""Read the results that identify and trace saved, and say each in one line."""
+"""Read the results of identify and trace, and summarise each in one line."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """Reduce the rate of a log with a linear-phase low-pass filter, block by block.
 
 Every N-th row alone would show frequencies above the new Nyquist frequency as lower ones
-(aliasing). Therefore signals are filtered before: up to 0.8 of the new Nyquist frequency they keep
-0.1 %, above the Nyquist frequency they are attenuated by 70 dB. The filter has no delay.
+(aliasing). Therefore signals are filtered before: up to 0.8 of the new Nyquist frequency amplitudes
+are exact to 0.1 %, above the Nyquist frequency they are attenuated by 70 dB. The filter has no
+delay.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from ..log_stream import Block
 
 _HALF_LENGTH = 22
 """Rows on either side of a kept row that the filter uses, in new sampling periods."""
-_PASS = 0.8
+PASS = 0.8
 """End of the pass band, as a share of the new Nyquist frequency."""
 _STOP_DB = 70.0
 MOST = 1000
@@ -38,7 +39,7 @@ def low_pass(every: int) -> Array:
     """Return the filter's coefficients, (2 * 22 * every + 1,), with the sum 1."""
     from scipy.signal import firwin
 
-    edge = (1.0 + _PASS) / 2.0 / every
+    edge = (1.0 + PASS) / 2.0 / every
     beta = 0.1102 * (_STOP_DB - 8.7)
     taps = firwin(2 * _HALF_LENGTH * every + 1, edge, window=("kaiser", beta))
     return np.asarray(taps / taps.sum(), np.float64)

@@ -10,12 +10,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from ...config.version import __version__
-from ..errors import LogError
+from ..errors import LogError, reason
 from ..log_facts import rig_name
 from ..log_stream import Block, LogStream
 from .columns import TIME, Column, chosen_columns
 from .csv_file import write_csv
-from .decimation import MOST, decimated
+from .decimation import MOST, PASS, decimated
 from .import_description import description_path, import_description
 from .mat_file import write_mat
 from .npz_file import write_npz
@@ -105,7 +105,7 @@ def export_log(
             described.write_text(text, encoding="utf-8")
         part.replace(out)
     except OSError as error:
-        raise LogError(f"{out}: cannot be written: {error.strerror or error}") from None
+        raise LogError(f"{out}: cannot be written: {reason(error)}") from None
     finally:
         part.unlink(missing_ok=True)
     return Exported(out, rows, columns, described, tuple(_notes(log, options, counted.skipped)))
@@ -187,7 +187,7 @@ def _notes(log: LogStream, options: ExportOptions, skipped: int) -> Iterator[str
         nyquist_hz = log.rate_hz / options.every / 2
         yield (
             f"every {options.every} rows: signals are low-pass filtered, unchanged up to "
-            f"{0.8 * nyquist_hz:.4g} Hz and removed above {nyquist_hz:.4g} Hz"
+            f"{PASS * nyquist_hz:.4g} Hz and removed above {nyquist_hz:.4g} Hz"
         )
         if skipped:
             yield f"{log.path}: {skipped} skipped periods: the filter treats its rows as uniform"

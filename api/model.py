@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from ..identification.records.record import IdentificationError
+from ..identification.value_with_interval import value_with_interval
 from .html_table import Table
-from .value_with_interval import value_with_interval
 
 if TYPE_CHECKING:
     from ..config.model import ModelConfig

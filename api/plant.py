@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..identification.value_with_interval import value_with_interval
 from .html_table import Table
 from .model import Parameter
-from .value_with_interval import value_with_interval
 
 if TYPE_CHECKING:
     import control

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..api.value_with_interval import value_with_interval
+from ..identification.value_with_interval import value_with_interval
 from .full_option import full_option
 from .output_folder_check import claimed_folder, naming_options, quoted, repeated, same_logs
 from .path_types import FOLDER, LOG, MODEL

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from ..api.value_with_interval import value_with_interval
+from ..identification.value_with_interval import value_with_interval
 
 if TYPE_CHECKING:
     from ..config.model import EffectParameter

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..json_data import plain_json
+from ..value_with_interval import value_with_interval
 from .parameter_differences import (
     SIGNIFICANT,
     Difference,
@@ -141,8 +142,7 @@ def _one_sided(one: SavedResult, other: SavedResult) -> Iterator[OneSided]:
 
 
 def _text(value: float, se: float | None, unit: str) -> str:
-    error = "" if not se else f" +- {1.96 * se:.2g}"
-    return f"{value:.5g}{error} {unit}".rstrip()
+    return f"{value_with_interval(value, se)} {'' if unit == '1' else unit}".rstrip()
 
 
 def comparison_summary(found: Comparison) -> dict[str, Any]:

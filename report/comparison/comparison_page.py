@@ -16,6 +16,8 @@ from ...identification.comparison.response_differences import (
     PathDeviation,
     ResponseComparison,
 )
+from ...identification.subspace.response_uncertainty import SURE_95
+from ...identification.value_with_interval import interval_decimals
 from ..figures.bode import bode_magnitude, bode_phase
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Table, Text, write_report
@@ -24,8 +26,6 @@ from ..plotting.style import line_of
 from .deviation_figure import deviation_figure
 
 Array = NDArray[np.float64]
-
-_SURE_95 = 1.96
 
 
 def comparison_page(found: Comparison, out: Path) -> Path:
@@ -98,13 +98,13 @@ def name_of(d: Difference) -> str:
 
 def value_cells(d: Difference) -> tuple[str, str, str, str]:
     """Return A, B, B - A with 95 % intervals, to the second digit of the interval, and unit."""
-    halves = [None if not se else _SURE_95 * se for se in (d.a.se, d.b.se, d.se)]
+    halves = [None if not se else SURE_95 * se for se in (d.a.se, d.b.se, d.se)]
     known = [h for h in halves if h]
     least = min(known) if known else max(abs(d.difference), 1e-12)
     largest = max(abs(d.a.value), abs(d.b.value), least)
     power = math.floor(math.log10(largest))
     power = 0 if -1 <= power < 6 else power
-    digits = min(max(1 - math.floor(math.log10(least)) + power, 0), 12)
+    digits = min(max(interval_decimals(least / 10.0**power), 0), 12)
     texts = []
     for value, half in zip((d.a.value, d.b.value, d.difference), halves, strict=True):
         text = f"{value / 10.0**power:.{digits}f}".replace("-", "−")

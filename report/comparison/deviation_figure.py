@@ -7,11 +7,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from ...identification.comparison.response_differences import ResponseComparison
+from ...identification.subspace.response_uncertainty import SURE_95
 from ..plotting.labelled_frequency_responses import SignalLabels
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import PAGE, Sheet, colour, drawing, frequency_axis, line_of
 
-_SURE_95 = 1.96
 _TO_DB = 20.0 / np.log(10.0)
 
 
@@ -35,7 +35,7 @@ def deviation_figure(
                 ratio = found.b.H[:, j, j] / found.a.H[:, j, j]
                 level, phase = _TO_DB * np.log(np.abs(ratio)), np.degrees(np.angle(ratio))
             parts = [(m.error_re, m.error_im)[row][:, j, j] for m in (found.a, found.b)]
-            band = _SURE_95 * (_TO_DB, np.degrees(1.0))[row] * np.hypot(*parts)
+            band = SURE_95 * (_TO_DB, np.degrees(1.0))[row] * np.hypot(*parts)
             values = (level, phase)[row]
             frequency_axis(ax, (float(found.freq_hz[0]), float(found.freq_hz[-1])))
             ax.fill_between(

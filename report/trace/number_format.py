@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...config.model import EffectParameter
+from ...identification.value_with_interval import interval_decimals
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.style import engineering
 
@@ -45,7 +46,7 @@ def with_interval(parameter: EffectParameter) -> str:
     times = f"·10{str(power).translate(_SUPERSCRIPT)}" if power else ""
     if half is None or not half > 0:
         return f"{_minus(f'{scale * value:.6g}')}{times} {unit}".strip()
-    digits = int(np.clip(1 - np.floor(np.log10(scale * half)), 0, 12))
+    digits = min(max(interval_decimals(scale * half), 0), 12)
     inner = f"{_minus(f'{scale * value:.{digits}f}')} ± {scale * half:.{digits}f}"
     if times or unit:
         inner = f"({inner}){times}"

@@ -10,7 +10,7 @@ _PLAIN = range(-3, 6)
 
 def value_with_interval(value: float, se: float | None, plus_minus: str = "+-") -> str:
     """Return a value such as 3.0 +- 0.12 or (3.002 +- 0.032)e8; without an error, five digits."""
-    from ..identification.subspace.response_uncertainty import SURE_95
+    from .subspace.response_uncertainty import SURE_95
 
     if se is None or not 0.0 < se < math.inf or not math.isfinite(value):
         return f"{value:.5g}"
@@ -18,7 +18,12 @@ def value_with_interval(value: float, se: float | None, plus_minus: str = "+-") 
     power = math.floor(math.log10(max(abs(value), half)))
     shift = 0 if power in _PLAIN else power
     value, half = value / 10.0**shift, half / 10.0**shift
-    digits = 1 - math.floor(math.log10(half))
+    digits = interval_decimals(half)
     shown = (f"{round(v, digits):.{max(digits, 0)}f}" for v in (value, half))
     pair = f" {plus_minus} ".join(shown)
     return pair if shift == 0 else f"({pair})e{shift}"
+
+
+def interval_decimals(half: float) -> int:
+    """Return the number of decimals up to the second digit of half > 0; below 0 from 100 on."""
+    return 1 - math.floor(math.log10(half))

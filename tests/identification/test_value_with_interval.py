@@ -2,8 +2,8 @@
 
 import pytest
 
-from levid.api.value_with_interval import value_with_interval
 from levid.identification.subspace.response_uncertainty import SURE_95
+from levid.identification.value_with_interval import value_with_interval
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,14 @@ from numpy.typing import NDArray
 from .errors import LogError
 from .field_units import FieldMeaning, field_meanings
 from .mcap_scan import Contents, Decompressor, scan
-from .message_array import CDR_LE, MessageLayout
-from .reader import described_channel, first_message, mapped, rate_hz_of
+from .reader import (
+    described_channel,
+    mapped,
+    message_layout,
+    rate_hz_of,
+    stated_rows,
+    wrong_count,
+)
 
 
 @dataclass(frozen=True)
@@ -51,9 +57,7 @@ class LogStream:
     def _open(self, contents: Contents) -> None:
         self._contents = contents
         self._number, self.dtype = described_channel(contents)
-        cdr, _ = first_message(contents, self._number)
-        in_file = self.dtype if cdr == CDR_LE else self.dtype.newbyteorder(">")
-        self._layout = MessageLayout(self._number, in_file, cdr)
+        self._layout, _ = message_layout(contents, self._number, self.dtype)
         schema = contents.schemas[contents.channels[self._number].schema_id]
         self.schema_name = schema.name
         self.meanings: dict[str, FieldMeaning] = field_meanings(
@@ -62,9 +66,8 @@ class LogStream:
         self.metadata = contents.metadata.get("levid", {})
         self.attachments = contents.attachments
         self.problem = contents.problem
-        counts = contents.message_counts
-        self.stated_rows = None if counts is None else counts.get(self._number, 0)
-        first = next(self._read(iter(contents.chunks)), None)
+        self.stated_rows = stated_rows(contents, self._number)
+        first = self.first_block()
         if first is None:
             raise LogError(self.problem or "expected rows, found none")
         self.rate_hz = rate_hz_of(self.metadata, first.log_time_ns)
@@ -91,9 +94,7 @@ class LogStream:
         for block in self._read(iter(self._contents.chunks)):
             rows += len(block.rows)
             yield block
-        stated = self.stated_rows
-        if self.problem is None and stated is not None and stated != rows:
-            self.problem = f"expected {stated} messages, as the statistics state, found {rows}"
+        self.problem = self.problem or wrong_count(self.stated_rows, rows)
 
     def last_block(self) -> Block | None:
         """Return the rows of the last chunk that has some; None if it is damaged."""

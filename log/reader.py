@@ -93,15 +93,10 @@ def mapped(path: Path) -> memoryview:
 def _read(path: Path, data: memoryview) -> Log:
     contents = scan(data)
     channel, dtype = described_channel(contents)
-    cdr, first = first_message(contents, channel)
-    in_file = dtype if cdr == CDR_LE else dtype.newbyteorder(">")
-    layout = MessageLayout(channel, in_file, cdr)
+    layout, first = message_layout(contents, channel, dtype)
     rows, times, problem = _read_rows(contents.chunks, layout, first, len(data))
     problem = problem or contents.problem
-    if problem is None and contents.message_counts is not None:
-        stated = contents.message_counts.get(channel, 0)
-        if stated != rows.size:
-            problem = f"expected {stated} messages, as the statistics state, found {rows.size}"
+    problem = problem or wrong_count(stated_rows(contents, channel), rows.size)
     if not rows.size:
         raise LogError(problem or f"no messages on {contents.channels[channel].topic}")
     metadata = contents.metadata.get("levid", {})
@@ -116,6 +111,19 @@ def _read(path: Path, data: memoryview) -> Log:
         complete=problem is None,
         problem=problem,
     )
+
+
+def stated_rows(contents: Contents, channel: int) -> int | None:
+    """Return the channel's number of messages by the statistics; None without statistics."""
+    counts = contents.message_counts
+    return None if counts is None else counts.get(channel, 0)
+
+
+def wrong_count(stated: int | None, found: int) -> str | None:
+    """Return what is wrong if the statistics state another number of messages."""
+    if stated in (None, found):
+        return None
+    return f"expected {stated} messages, as the statistics state, found {found}"
 
 
 def described_channel(contents: Contents) -> tuple[int, np.dtype[np.void]]:
@@ -149,8 +157,10 @@ def _channel_dtype(contents: Contents, channel: Channel) -> np.dtype[np.void]:
     return dtype_from_ros2msg(str(schema.data, "utf-8", "replace"))
 
 
-def first_message(contents: Contents, channel: int) -> tuple[bytes, dict[int, memoryview]]:
-    """Return the CDR byte order of the channel's first message.
+def message_layout(
+    contents: Contents, channel: int, dtype: np.dtype[np.void]
+) -> tuple[MessageLayout, dict[int, memoryview]]:
+    """Return the layout of the channel's messages, in the byte order of the first one.
 
     Also return its decompressed chunk, by offset, so that it is not decompressed again.
     """
@@ -159,7 +169,8 @@ def first_message(contents: Contents, channel: int) -> tuple[bytes, dict[int, me
         raw = decompress(offset, chunk)
         cdr = byte_order(raw, channel, f"byte {offset}: chunk: ")
         if cdr is not None:
-            return cdr, {offset: raw}
+            in_file = dtype if cdr == CDR_LE else dtype.newbyteorder(">")
+            return MessageLayout(channel, in_file, cdr), {offset: raw}
     topic = contents.channels[channel].topic
     raise LogError(contents.problem or f"expected messages on {topic}, found none")
 

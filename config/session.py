@@ -26,12 +26,12 @@ class Excitation(Strict):
     """An excitation signal at one input: psi, theta, z, or one coil by its number.
 
     The level is `rms_n_m` for a torque (psi, theta), else `rms_n`. `band_hz` limits the spectrum;
-    without it white noise extends to half the rate. Noise in a band is joined of independent pieces
-    of 1,048,576 cycles in longer records. A multisine has the period `period_s`; its `lines` are
-    multiples of 1 / period_s in the band: all, odd ones, or odd ones with a random one of every
-    four left out (`odd_random_grid`). The response at unexcited lines measures nonlinear
-    distortion. All lines have the same amplitude; above `rise_hz` it grows in proportion to
-    frequency, because a mass responds less there.
+    without it white noise extends to half the rate. In a record of more than 1,048,576 cycles,
+    noise in a band consists of independent pieces of that length. A multisine has the period
+    `period_s`; its `lines` are multiples of 1 / period_s in the band: all, odd ones, or odd ones
+    with a random one of every four left out (`odd_random_grid`). The response at unexcited lines
+    measures nonlinear distortion. All lines have the same amplitude; above `rise_hz` it grows in
+    proportion to frequency, because a mass responds less there.
     """
 
     input: Dof | Annotated[str, Field(pattern=r"^coil:\d+$")]

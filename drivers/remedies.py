@@ -79,15 +79,19 @@ def can_problem(bus: CanBus, error: Exception) -> str:
 
 def _socketcan_problem(bus: CanBus, number: int | None) -> str:
     """Return what an error number of the kernel's CAN means; empty if it is none of these."""
-    words = {
-        errno.EAFNOSUPPORT: "this kernel has no CAN: load its module: sudo modprobe can_raw",
-        errno.ENETDOWN: f"network interface {bus.channel} is down: {bring_up(bus)}",
-        errno.ENOBUFS: "the send queue is full, because no device acknowledges the frames: check "
-        "power, wiring, termination and bit rate",
-        errno.ENODEV: network_problem(bus),
-        errno.ENXIO: network_problem(bus),
-    }
-    return words.get(number or 0, "")
+    match number:
+        case errno.EAFNOSUPPORT:
+            return "this kernel has no CAN: load its module: sudo modprobe can_raw"
+        case errno.ENETDOWN:
+            return f"network interface {bus.channel} is down: {bring_up(bus)}"
+        case errno.ENOBUFS:
+            return (
+                "the send queue is full, because no device acknowledges the frames: check power, "
+                "wiring, termination and bit rate"
+            )
+        case errno.ENODEV | errno.ENXIO:
+            return network_problem(bus)
+    return ""
 
 
 def no_can_answer(bus: CanBus) -> str:

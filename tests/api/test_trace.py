@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -37,11 +38,19 @@ def test_effect_has_kind_place_parameters_and_support(traced: levid.Trace) -> No
 
 def test_errors_fall_and_are_explained(traced: levid.Trace) -> None:
     v = traced.validation
+    assert v.before is not None
+    assert v.after is not None
     assert v.after < v.before
     assert traced.explained is not None
     assert 0.9 < traced.explained <= 1.0
     assert traced.verdict.startswith("found: ")
     assert v.percent_after["y"] is not None
+
+
+def test_errors_that_are_not_numbers_are_shown_as_unknown(traced: levid.Trace) -> None:
+    unknown = replace(traced.validation, before=None, after=None)
+    assert "? % before, ? % after" in str(replace(unknown, metric="force"))
+    assert "? before, ? after" in str(replace(unknown, metric="free_run"))
 
 
 def test_model_with_the_effect_starts_another_identification(

@@ -7,13 +7,13 @@ import json
 import os
 import shutil
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import wait_until
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _ANSWER_S = 60.0
@@ -28,25 +28,36 @@ def browser_path() -> str:
 
 
 class Page:
-    """A tab of the browser."""
+    """A tab of the browser, and the errors in its console."""
 
-    def __init__(self, send: Callable[..., dict[str, Any]], session: str) -> None:
+    def __init__(
+        self, send: Callable[..., dict[str, Any]], session: str, errors: list[str]
+    ) -> None:
         self._send, self._session = send, session
+        self.errors = errors
+        for domain in ("Page", "Runtime", "Log"):
+            self.command(f"{domain}.enable")
 
     def command(self, method: str, **parameters: object) -> dict[str, Any]:
         return self._send(method, parameters, self._session)
 
-    def open(self, path: Path, width: int = 1400, height: int = 1000, *, script: bool = True):
-        """Show a file at a window size, with or without JavaScript."""
-        self.command("Page.enable")
-        self.command("Runtime.enable")
+    def open(self, url: str, *, script: bool = True) -> None:
+        """Load a page, with or without JavaScript."""
+        self.command("Emulation.setScriptExecutionDisabled", value=not script)
+        self.command("Page.navigate", url=url)
+        self.wait_for("document.readyState === 'complete'")
+
+    def resize(self, width: int = 1400, height: int = 1000) -> None:
+        """Set the size of the window in pixels; below 600 it is a telephone's."""
         self.command(
             "Emulation.setDeviceMetricsOverride",
-            width=width, height=height, deviceScaleFactor=1, mobile=False,
+            width=width, height=height, deviceScaleFactor=1, mobile=width < 600,
         )  # fmt: skip
-        self.command("Emulation.setScriptExecutionDisabled", value=not script)
-        self.command("Page.navigate", url=path.resolve().as_uri())
-        self.wait_for("document.readyState === 'complete'")
+
+    def medium(self, medium: str = "screen", *, dark: bool = False) -> None:
+        """Show the page on screen or printed, in light or dark colours."""
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.command("Emulation.setEmulatedMedia", media=medium, features=[scheme])
 
     def value(self, expression: str) -> Any:
         """Return the value of a JavaScript expression."""
@@ -58,10 +69,7 @@ class Page:
 
     def wait_for(self, expression: str) -> None:
         """Wait until a JavaScript expression is true."""
-        end = time.monotonic() + _ANSWER_S
-        while not self.value(expression):
-            assert time.monotonic() < end, f"never true: {expression}"
-            time.sleep(0.02)
+        wait_until(lambda: self.value(expression), _ANSWER_S, expression)
 
     def mouse(self, kind: str, x: float, y: float, **more: object) -> None:
         self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
@@ -79,6 +87,16 @@ class Page:
             self.mouse("mouseMoved", x, y, button="left", buttons=1)
         self.mouse("mouseReleased", x1, y1, button="left", clickCount=1)
 
+    def click(self, selector: str) -> None:
+        """Click once in the middle of an element."""
+        x, y = self.value(
+            f"(() => {{ const e = document.querySelector({selector!r}); e.scrollIntoView();"
+            " const b = e.getBoundingClientRect();"
+            " return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            self.mouse(kind, x, y, button="left", clickCount=1)
+
     def double_click(self, x: float, y: float) -> None:
         """Click twice."""
         for count in (1, 2):
@@ -90,12 +108,10 @@ class Page:
         for kind in ("keyDown", "keyUp"):
             self.command("Input.dispatchKeyEvent", type=kind, key=key)
 
-    def screenshot(self, path: Path, whole: bool = True) -> None:
-        """Save a picture of the page."""
-        size = self.command("Page.getLayoutMetrics")["cssContentSize"]
-        clip = {"clip": {**size, "scale": 1}, "captureBeyondViewport": True} if whole else {}
-        data = self.command("Page.captureScreenshot", format="png", **clip)["data"]
-        path.write_bytes(base64.b64decode(data))
+    def screenshot(self, path: Path) -> None:
+        """Save a picture of the whole page."""
+        shot = self.command("Page.captureScreenshot", captureBeyondViewport=True)
+        path.write_bytes(base64.b64decode(shot["data"]))
 
 
 @contextmanager
@@ -130,6 +146,7 @@ def browser(profile: Path) -> Iterator[Page]:
 
 def _first_page(sending: Any, receiving: Any) -> Page:
     number, rest = 0, b""
+    errors: list[str] = []
 
     def send(method: str, parameters: dict[str, Any], session: str = "") -> dict[str, Any]:
         nonlocal number, rest
@@ -146,6 +163,11 @@ def _first_page(sending: Any, receiving: Any) -> Page:
                 rest += part
             text, _, rest = rest.partition(b"\0")
             answer = json.loads(text)
+            event, about = answer.get("method"), answer.get("params", {})
+            if event == "Runtime.exceptionThrown":
+                errors.append(json.dumps(about))
+            if event == "Log.entryAdded" and about["entry"]["level"] == "error":
+                errors.append(about["entry"]["text"])
             if answer.get("id") == number:
                 if "error" in answer:
                     raise RuntimeError(f"{method}: {answer['error']}")
@@ -153,4 +175,4 @@ def _first_page(sending: Any, receiving: Any) -> Page:
 
     target = send("Target.createTarget", {"url": "about:blank"})["targetId"]
     session = send("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
-    return Page(send, session)
+    return Page(send, session, errors)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium_page import Page, chromium
+from headless_browser import Page, browser
 from live_view import LiveView, live_view
 
 EVIL = "https://evil.example"
@@ -22,10 +22,10 @@ def view(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveView]:
 
 @pytest.fixture(scope="module")
 def page(view: LiveView, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with chromium(tmp_path_factory.mktemp("browser")) as page:
-        page.resize(1400, 1000)
+    with browser(tmp_path_factory.mktemp("browser")) as page:
+        page.resize()
         page.open(f"http://127.0.0.1:{view.page_port}/")
-        page.until("typeof rig === 'object' && rig && pulse.length > 5")
+        page.wait_for("typeof rig === 'object' && rig && pulse.length > 5")
         yield page
 
 
@@ -123,25 +123,26 @@ def test_page_runs_no_script_but_its_own(view: LiveView) -> None:
 
 
 def test_page_shows_the_flight(levitating: LiveView, page: Page) -> None:
-    page.until("document.querySelector('#state').textContent.includes('LEVITATING')")
-    assert page.evaluate("document.querySelectorAll('#bars .bar').length") == 5
-    total_n = page.evaluate(
+    page.wait_for("document.querySelector('#state').textContent.includes('LEVITATING')")
+    assert page.value("document.querySelectorAll('#bars .bar').length") == 5
+    total_n = page.value(
         "[...document.querySelectorAll('#platform text:not(.dim)')]"
         ".reduce((sum, text) => sum + Number(text.textContent), 0)"
     )
     assert 60.0 < total_n < 80.0  # the platform weighs 69 N
-    page.until("document.querySelector('#events').textContent.includes('LEVITATING')")
-    height = page.evaluate("document.querySelectorAll('#bars output')[2].textContent")
+    page.wait_for("document.querySelector('#events').textContent.includes('LEVITATING')")
+    height = page.value("document.querySelectorAll('#bars output')[2].textContent")
     assert height.endswith("µm")
     assert abs(float(height.split()[0])) < 100.0
 
 
 @pytest.mark.parametrize(("width", "height"), [(1400, 1000), (390, 844)])
 def test_page_fits_its_window(page: Page, width: int, height: int, tmp_path: Path) -> None:
+    page.resize(width, height)
     for dark in (False, True):
-        page.resize(width, height, dark)
-        assert page.evaluate("document.documentElement.scrollWidth") == width
-        box = page.evaluate(
+        page.medium(dark=dark)
+        assert page.value("document.documentElement.scrollWidth") == width
+        box = page.value(
             "(() => { const b = document.querySelector('#stop').getBoundingClientRect();"
             " return [b.left, b.right, b.top, b.bottom, b.height]; })()"
         )
@@ -149,20 +150,20 @@ def test_page_fits_its_window(page: Page, width: int, height: int, tmp_path: Pat
         assert 0 <= box[2] < box[3] <= height
         assert box[4] >= 44  # what a thumb hits
         page.screenshot(tmp_path / f"{width}-{dark}.png")
-    page.resize(1400, 1000)
+    page.resize()
 
 
 def test_motion_asks_first(levitating: LiveView, page: Page) -> None:
     page.click("[data-ask=land]")
-    page.until("document.querySelector('#confirm').open")
+    page.wait_for("document.querySelector('#confirm').open")
     assert levitating.daemon.ask("status")["state"] == "LEVITATING"
-    page.evaluate("document.querySelector('#token').value = 'wrong'")
+    page.value("document.querySelector('#token').value = 'wrong'")
     page.click("#go")
-    page.until("document.querySelector('#answer').textContent.includes('expected the token')")
+    page.wait_for("document.querySelector('#answer').textContent.includes('expected the token')")
     assert levitating.daemon.ask("status")["state"] == "LEVITATING"
     page.errors.clear()  # Chromium reports the refusal
     page.click("[data-ask=land]")
-    page.evaluate(f"document.querySelector('#token').value = {token_of(levitating)!r}")
+    page.value(f"document.querySelector('#token').value = {token_of(levitating)!r}")
     page.click("#go")
     levitating.daemon.until(lambda s: s["state"] == "IDLE")
     assert not page.errors
@@ -171,6 +172,6 @@ def test_motion_asks_first(levitating: LiveView, page: Page) -> None:
 def test_stop_stops_on_the_first_click(levitating: LiveView, page: Page) -> None:
     page.click("#stop")
     levitating.daemon.until(lambda s: s["fault"] == "STOPPED")
-    page.until("!document.querySelector('#alert').hidden")
-    assert "STOPPED" in page.evaluate("document.querySelector('#alert').textContent")
+    page.wait_for("!document.querySelector('#alert').hidden")
+    assert "STOPPED" in page.value("document.querySelector('#alert').textContent")
     assert not page.errors

@@ -80,13 +80,14 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 @pytest.fixture
 def tab(window: Page) -> Page:
-    window.command("Emulation.setEmulatedMedia", media="", features=[])
+    window.medium()
+    window.resize()
     return window
 
 
 @pytest.fixture
 def page(tab: Page, report: Path) -> Page:
-    tab.open(report)
+    tab.open(report.as_uri())
     tab.wait_for("document.querySelectorAll('figure.live').length === 2")
     tab.wait_for("document.querySelectorAll('#figure-time .u-over').length === 2")
     tab.value("document.querySelector('#figure-time').scrollIntoView({block: 'center'})")
@@ -244,7 +245,7 @@ def test_bode_diagram_reads_magnitude_and_band(page):
 
 
 def test_page_is_readable_without_javascript(tab, report):
-    tab.open(report, script=False)
+    tab.open(report.as_uri(), script=False)
     heights = tab.value(
         "[...document.querySelectorAll('figure .wide > svg')]"
         ".map(s => s.getBoundingClientRect().height)"
@@ -255,7 +256,7 @@ def test_page_is_readable_without_javascript(tab, report):
 
 
 def test_print_shows_the_static_figures(page):
-    page.command("Emulation.setEmulatedMedia", media="print")
+    page.medium("print")
     shown = page.value(
         "['.wide', '.chart'].map(s => getComputedStyle(document.querySelector('#figure-time '"
         " + s)).display)"
@@ -265,7 +266,8 @@ def test_print_shows_the_static_figures(page):
 
 @pytest.mark.parametrize("width", [390, 1400])
 def test_page_is_as_wide_as_the_window(tab, report, width):
-    tab.open(report, width)
+    tab.resize(width)
+    tab.open(report.as_uri())
     tab.wait_for("document.querySelectorAll('figure.live').length > 0")
     tab.value("scrollTo(0, document.body.scrollHeight)")
     tab.wait_for("document.querySelectorAll('figure.live').length === 2")
@@ -273,9 +275,8 @@ def test_page_is_as_wide_as_the_window(tab, report, width):
 
 
 def test_dark_pages_have_dark_charts(tab, report):
-    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
-    tab.command("Emulation.setEmulatedMedia", media="screen", features=dark)
-    tab.open(report)
+    tab.medium(dark=True)
+    tab.open(report.as_uri())
     tab.wait_for("document.querySelectorAll('#figure-time .u-over').length === 2")
     settle(tab)
     sky = (

@@ -24,6 +24,14 @@ def value_with_interval(value: float, se: float | None, plus_minus: str = "+-") 
     return pair if shift == 0 else f"({pair})e{shift}"
 
 
-def interval_decimals(half: float) -> int:
-    """Return the number of decimals up to the second digit of half > 0; below 0 from 100 on."""
-    return 1 - math.floor(math.log10(half))
+def interval_decimals(half: float, digits: int = 2) -> int:
+    """Return the number of decimals up to digit `digits` of half a confidence interval.
+
+    It is negative if that digit is left of the decimal point: -1 for tens. half: > 0.
+    """
+    return digits - 1 - exponent_of(half, digits)
+
+
+def exponent_of(value: float, digits: int) -> int:
+    """Return the power of ten of a value rounded to `digits` digits: 1 of 9.97 with two."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])

@@ -104,7 +104,7 @@ def value_cells(d: Difference) -> tuple[str, str, str, str]:
     largest = max(abs(d.a.value), abs(d.b.value), least)
     power = math.floor(math.log10(largest))
     power = 0 if -1 <= power < 6 else power
-    digits = min(max(interval_decimals(least / 10.0**power), 0), 12)
+    digits = min(max(interval_decimals(least) + power, 0), 12)
     texts = []
     for value, half in zip((d.a.value, d.b.value, d.difference), halves, strict=True):
         text = f"{value / 10.0**power:.{digits}f}".replace("-", "−")

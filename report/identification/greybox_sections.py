@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -22,6 +21,7 @@ from ..figures.simulated_outputs import Simulated, SimulatedOutput, simulated_ou
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
 from ..plotting.labelled_frequency_responses import Curve
+from ..plotting.number_format import interval, plain, to_interval
 from ..plotting.style import LineStyle, signed
 from .closed_loop import HO_KALMAN
 from .greybox import GreyBoxReport
@@ -73,44 +73,34 @@ def _parameter_parts(report: GreyBoxReport) -> tuple[Part, ...]:
 
 
 def _values(name: str, parameter: ModelParameter, fit: Fit) -> tuple[str, ...]:
-    """Return declared and fitted value, standard error, change in percent and standard errors."""
-    before = _number(parameter.value)
+    """Return declared value, fitted value, half its interval, change in percent and in errors."""
+    before = plain(parameter.value)
     error = fit.standard_errors.get(name)
     if error is None:
         return before, "fixed" if parameter.is_fixed else "held", "—", "—", "—"
-    after = fit.values[name]
+    after, half = fit.values[name], SURE_95 * error
     change = after - parameter.value
     return (
         before,
-        _to_error(after, error) + (" (at bound)" if name in fit.at_bound else ""),
-        _number(SURE_95 * error, 2),
-        _percent(100 * change / abs(parameter.value)) if parameter.value else "—",
+        to_interval(after, half) + (" (at bound)" if name in fit.at_bound else ""),
+        to_interval(half, half),
+        _percent(change, half, parameter.value),
         signed(change / error, 1) if error > 0 else "—",
     )
 
 
-def _to_error(value: float, error: float) -> str:
-    """Return a value with digits up to the second digit of its standard error."""
-    if not (error > 0 and np.isfinite(error) and value):
-        return _number(value)
-    digits = int(np.floor(np.log10(abs(value))) - np.floor(np.log10(error))) + 2
-    return _number(value, int(np.clip(digits, 1, 12)))
-
-
-def _number(value: float, digits: int = 6) -> str:
-    text = f"{value:#.{digits}g}" if digits != 6 else f"{value:g}"
-    text = text.removesuffix(".").replace(".e", "e")
-    return re.sub(r"e(-?)\+?0*(\d)", r"e\1\2", text).replace("-", "−")
-
-
-def _percent(change: float) -> str:
-    return ("+" if change > 0 else "") + _number(change, 2)
+def _percent(change: float, half: float, of: float) -> str:
+    """Return a change in percent of a value, to the first digit of half its interval."""
+    if not of:
+        return "—"
+    share = 100.0 / abs(of)
+    return ("+" if change > 0 else "") + to_interval(share * change, share * half, 1)
 
 
 def _if_fitted(held: Unidentifiable, declared: ModelConfig) -> str:
     if np.isfinite(held.standard_error):
         unit = declared.parameters[held.name].unit
-        return f"fitted, its standard error would be {_number(held.standard_error, 2)} {unit}"
+        return f"fitted, its standard error would be {plain(held.standard_error, 2)} {unit}"
     if held.together_with:
         return "these have the same effect"
     return "these records do not depend on it"
@@ -128,15 +118,6 @@ def _modes_table(report: GreyBoxReport) -> Table:
     )
     head = ("at", "natural frequency in Hz", "damping ratio ζ")
     return Table("Modes of the fitted model, with 95 % intervals", head, rows)
-
-
-def interval(value: float, se: float) -> str:
-    """Return 'value ± half of its 95 % interval', both to the second digit of the latter."""
-    half = SURE_95 * se
-    if not (np.isfinite(half) and half > 0):
-        return f"{value:.4g}"
-    digits = max(1 - int(np.floor(np.log10(half))), 0)
-    return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
 def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:

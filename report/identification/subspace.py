@@ -29,9 +29,9 @@ from ..plotting.labelled_frequency_responses import (
     ratio,
     shown_range,
 )
+from ..plotting.number_format import interval
 from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
 from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth, factor
-from .greybox_sections import interval
 
 Array = NDArray[np.float64]
 

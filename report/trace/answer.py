@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from ...identification.trace.found_effects_summary import NOISE_MOST
 from ..plotting.labelled_frequency_responses import symbol
+from ..plotting.number_format import times_text
 from ..session.session_page import listed
 from .effect_in_words import effect_in_words
-from .number_format import times_text
 
 if TYPE_CHECKING:
     from ...identification.trace.force_regression.force_trace_summary import ForceOutcome

@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-
 from ...config.model import EffectParameter
+from ...identification.subspace.response_uncertainty import SURE_95
 from ...model.effects.base import Effect, in_words
 from ..plotting.labelled_frequency_responses import symbol
+from ..plotting.number_format import to_interval, unit_text
 from ..plotting.style import engineering
-from .number_format import CONFIDENCE, unit_text
 
 Parameters = Mapping[str, EffectParameter]
 _Clause = Callable[["_Said"], str]
@@ -74,7 +73,7 @@ class _Said:
             scale, prefix = (1.0, "") if "/" in own or " " in own else engineering(size, own)
             factor *= scale
             unit = unit_text(own)
-        half = 0.0 if parameter.se is None else CONFIDENCE * parameter.se
+        half = 0.0 if parameter.se is None else SURE_95 * parameter.se
         return f"{_digits(factor * size, factor * half)} {prefix}{unit}".strip()
 
     def percent(self, name: str) -> str:
@@ -90,8 +89,7 @@ def _digits(size: float, half: float) -> str:
     """Return a positive number to the first digit of half its interval, to three without one."""
     if not half > 0.0 or half >= size:
         return f"{size:.2g}" if half >= size > 0.0 else f"{size:.3g}"
-    last = int(np.floor(np.log10(half)))
-    return f"{round(size, -last):.{max(-last, 0)}f}"
+    return to_interval(size, half, digits=1)
 
 
 def _coil_gain(e: _Said) -> str:

@@ -10,22 +10,22 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...config.model import EffectParameter
+from ...identification.subspace.response_uncertainty import SURE_95
 from ...identification.trace.figure_data import Aspect, RecordView, Views
 from ...identification.trace.found_effects_summary import FoundEffect, Outcome, RandomForce, telling
 from ...identification.trace.residual.binned_means import dependence
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
-from ..session.session_page import listed
-from .effect_shapes import Shape, effect_shapes
-from .number_format import (
-    CONFIDENCE,
+from ..plotting.number_format import (
     amount,
+    half_percent,
     place_text,
-    plain,
     share_text,
     signal_text,
     with_interval,
 )
+from ..session.session_page import listed
+from .effect_shapes import Shape, effect_shapes
 
 Array = NDArray[np.float64]
 
@@ -54,8 +54,7 @@ def effect_sections(result: Outcome, views: Views) -> list[Section]:
 def _random_parts(force: RandomForce) -> tuple[Part, ...]:
     s = force.shaking
     rms = EffectParameter(value=s.rms, se=s.se, unit=force.unit)
-    half = plain(100 * CONFIDENCE * s.se / s.rms, 2)
-    rows = [("rms", with_interval(rms), f"{half} %")]
+    rows = [("rms", with_interval(rms), half_percent(s.rms, s.se))]
     rows += [
         (name, f"{at:.3g} Hz", "—") for name, at in zip(("low", "high"), s.band_hz, strict=True)
     ]
@@ -171,11 +170,10 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
 
 
 def _parameter_table(found: FoundEffect) -> Table:
-    rows = []
-    for name, p in found.parameters().items():
-        half = None if p.se is None else CONFIDENCE * p.se
-        share = "—" if half is None or not p.value else f"{plain(100 * half / abs(p.value), 2)} %"
-        rows.append((name, with_interval(p), share))
+    rows = [
+        (name, with_interval(p), half_percent(p.value, p.se))
+        for name, p in found.parameters().items()
+    ]
     return Table(
         "Parameters with 95 % intervals",
         ("parameter", "value", "half the interval"),
@@ -247,7 +245,7 @@ def _difference_words(shapes: Sequence[Shape]) -> str:
     """Return a sentence about the difference of measured and fitted shape."""
     shape = shapes[0]
     apart = np.abs(shape.measured - shape.fitted)
-    inside = float(np.mean(apart <= CONFIDENCE * shape.error)) if len(apart) else 1.0
+    inside = float(np.mean(apart <= SURE_95 * shape.error)) if len(apart) else 1.0
     over = signal_text(shape.over)
     return (
         f"Over {over}, {100 * inside:.0f} % of the intervals contain the fitted effect; "

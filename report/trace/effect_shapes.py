@@ -13,9 +13,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from ...identification.subspace.response_uncertainty import SURE_95
+from ..plotting.number_format import signal_text, unit_text
 from ..plotting.panel_grid import entry
 from ..plotting.style import PAGE, LineStyle, Sheet, colour, drawing, engineering, new_figure
-from .number_format import CONFIDENCE, signal_text, unit_text
 
 Array = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ def _draw_shape(ax: Axes, shape: Shape) -> None:
     ax.axhline(0, color=colour("edge"), linewidth=0.8, zorder=1)
     ax.plot(x, factor * shape.fitted, **_FITTED.keywords())
     ax.errorbar(
-        x, factor * shape.measured, CONFIDENCE * factor * shape.error, color=colour("blue"),
+        x, factor * shape.measured, SURE_95 * factor * shape.error, color=colour("blue"),
         fmt="o", markersize=3.2, linewidth=1.0, zorder=4,
     )  # fmt: skip
     ax.set_title(shape.title)

@@ -23,11 +23,11 @@ from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
 from ..plotting.labelled_frequency_responses import symbol
+from ..plotting.number_format import half_percent, plain, unit_text, with_interval
 from .answer import imported_answer
 from .effect_shapes import effect_shapes
 from .law_shapes import law_shapes
 from .missing_force import missing_force
-from .number_format import CONFIDENCE, plain, unit_text, with_interval
 
 
 def imported_report(trace: ForceTrace, out_dir: Path, command: str = "") -> Path:
@@ -179,7 +179,8 @@ def _law_parts(trace: ForceTrace, law: FoundLaw, number: int) -> tuple[Part, ...
         )
     if not law.free:
         rows = [
-            (name, with_interval(p), _half(p.value, p.se)) for name, p in law.parameters.items()
+            (name, with_interval(p), half_percent(p.value, p.se))
+            for name, p in law.parameters.items()
         ]
         parts.append(
             Table(
@@ -214,12 +215,6 @@ def _law_parts(trace: ForceTrace, law: FoundLaw, number: int) -> tuple[Part, ...
 def _rival(rated: Rated) -> tuple[str, str, str]:
     effect = rated.placed.effect
     return effect.name, effect.equation, f"{100 * rated.share:.3g} %"
-
-
-def _half(value: float, se: float | None) -> str:
-    if se is None or value == 0.0:
-        return "—"
-    return f"{plain(100 * CONFIDENCE * se / abs(value), 2)} %"
 
 
 def _parameters(trace: ForceTrace) -> Table:

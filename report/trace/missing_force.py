@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.min_max_envelope import envelope, plot_envelope
+from ..plotting.number_format import unit_text
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import PAGE, TRUTH, LineStyle, Sheet, colour, drawing, engineering
-from .number_format import unit_text
 
 _BINS = 900
 _ACTING = LineStyle(TRUTH.colour, width=1.8, alpha=0.6, zorder=2)

@@ -14,7 +14,7 @@ from ...identification.trace.run_trace import Trace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Text
 from ..plotting.labelled_frequency_responses import symbol
-from .number_format import amount, signal_text
+from ..plotting.number_format import amount, signal_text
 from .trace_figures import dependence_map, sensors_alone, squares_over_time
 
 Array = NDArray[np.float64]

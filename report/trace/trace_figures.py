@@ -16,6 +16,7 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from ..plotting.labelled_frequency_responses import Range, pooled, symbol
+from ..plotting.number_format import signal_text, unit_text
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import (
     PAGE,
@@ -27,7 +28,6 @@ from ..plotting.style import (
     frequency_axis,
     log_ticks,
 )
-from .number_format import signal_text, unit_text
 
 Array = NDArray[np.float64]
 

@@ -22,12 +22,12 @@ from ...identification.trace.found_effects_summary import (
 from ...identification.trace.run_trace import Trace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
+from ..plotting.number_format import amount, times_text, with_interval
 from ..session.session_page import listed
 from .affected_places import affected_places, can_be_drawn
 from .answer import rig_answer
 from .effect_in_words import effect_in_words
 from .effect_sections import effect_sections, sizes
-from .number_format import amount, times_text, with_interval
 from .residual_section import left_section
 from .trace_sections import error_parts, model_section, records_section, search_section
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...config.model import ModelParameter
 from ...config.version import __version__
 from ...identification.records.record import OTHER_STEP
+from ...identification.subspace.response_uncertainty import SURE_95
 from ...identification.trace.figure_data import Views
 from ...identification.trace.found_effects_summary import Outcome, model_after
 from ...identification.trace.run_trace import Trace
@@ -20,17 +21,16 @@ from ...identification.trace.search.tested_candidate import Round
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Steps, Table, Text
 from ..plotting.labelled_frequency_responses import symbol
-from ..plotting.style import engineering
-from ..session.session_page import listed
-from .number_format import (
-    CONFIDENCE,
+from ..plotting.number_format import (
     amount,
     change_text,
     plain,
-    significant,
     times_text,
+    to_interval,
     unit_text,
 )
+from ..plotting.style import engineering
+from ..session.session_page import listed
 from .trace_figures import Bar, candidates, error_spectra, errors_by_record
 
 Array = NDArray[np.float64]
@@ -267,11 +267,8 @@ def model_section(found: Trace) -> Section:
 def _with_error(parameter: ModelParameter) -> tuple[str, str]:
     if parameter.se is None:
         return plain(parameter.value), "unknown"
-    half = CONFIDENCE * parameter.se
-    digits = 6
-    if 0.0 < half < abs(parameter.value):
-        digits = 2 + int(np.floor(np.log10(abs(parameter.value))) - np.floor(np.log10(half)))
-    return significant(parameter.value, digits), plain(half, 2)
+    half = SURE_95 * parameter.se
+    return to_interval(parameter.value, half), to_interval(half, half)
 
 
 def records_section(found: Trace, command: str = "") -> Section:

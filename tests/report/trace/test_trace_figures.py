@@ -1,4 +1,4 @@
-"""Test number formats and reproducible figures of the trace report."""
+"""Test reproducible figures of the trace report."""
 
 from __future__ import annotations
 
@@ -8,19 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from levid.config.model import EffectParameter
 from levid.report.plotting.figure_to_svg import to_svg
 from levid.report.plotting.style import COLOURS
 from levid.report.trace.effect_shapes import Shape, effect_shapes
-from levid.report.trace.number_format import (
-    amount,
-    change_text,
-    place_text,
-    plain,
-    signal_text,
-    unit_text,
-    with_interval,
-)
 from levid.report.trace.trace_figures import (
     Bar,
     candidates,
@@ -30,41 +20,6 @@ from levid.report.trace.trace_figures import (
     sensors_alone,
     squares_over_time,
 )
-
-
-@pytest.mark.parametrize(
-    ("value", "se", "unit", "text"),
-    [
-        (3.0032e8, 5.6e5, "N/m^3", "(3.003 ± 0.011)·10⁸ N/m³"),
-        (-0.020001, 7.7e-6, "1", "−0.020001 ± 0.000015"),
-        (1.0017e-3, 3.7e-7, "N m", "(1.00170 ± 0.00073)·10⁻³ N m"),
-        (-6244.5, 53.0, "V/V^2", "(−6244 ± 104) V/V²"),
-        (0.0, 1.0, "N", "(0.0 ± 2.0) N"),
-        (2.5, None, "s", "2.5 s"),
-        (1.5e-7, None, "1", "1.5·10⁻⁷"),
-    ],
-)
-def test_value_has_as_many_digits_as_its_interval(
-    value: float, se: float | None, unit: str, text: str
-) -> None:
-    assert with_interval(EffectParameter(value=value, unit=unit, se=se)) == text
-
-
-def test_units_names_and_sizes() -> None:
-    assert unit_text("N m/rad^3") == "N m/rad³"
-    assert unit_text("1") == ""
-    assert signal_text("theta'") == "θ′"
-    assert signal_text("psi''") == "ψ″"
-    assert signal_text("x_b") == "x_b"
-    assert place_text("force on theta", ("psi", "theta")) == "force on θ"
-    assert place_text("force of coil 3", ("psi", "theta")) == "force of coil 3"
-    assert amount(1.36e-6, "m") == "1.36 µm"
-    assert amount(4.2e-3, "N m") == "4.2 mN m"
-    assert amount(-2.5e5, "N/m^3") == "−2.5·10⁵ N/m³"
-    assert amount(float("nan"), "m") == "—"
-    assert change_text(2.0, 0.5) == "−75.0 %"
-    assert change_text(2.0, 2.0) == "0 %"
-    assert plain(-8.20715e-7) == "−8.20715·10⁻⁷"
 
 
 def shape() -> Shape:

@@ -1,4 +1,4 @@
-"""Format numbers, units, signals and locations for the trace report."""
+"""Format numbers, units, signals and locations for report pages."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...config.model import EffectParameter
-from ...identification.value_with_interval import interval_decimals
-from ..plotting.labelled_frequency_responses import symbol
-from ..plotting.style import engineering
+from ...identification.subspace.response_uncertainty import SURE_95
+from ...identification.value_with_interval import exponent_of, interval_decimals
+from .labelled_frequency_responses import symbol
+from .style import engineering
 
-CONFIDENCE = 1.96
-"""95 % of Gaussian errors are within this many standard deviations."""
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -37,20 +36,46 @@ def place_text(place: str, dof: Sequence[str]) -> str:
     return f"{head} {symbol(last)}".strip() if last in dof else place
 
 
+def to_interval(value: float, half: float, digits: int = 2) -> str:
+    """Return a value up to digit `digits` of half its 95 % interval, zeros at the end included.
+
+    half, in the unit of the value; six digits without it (0 or infinite). Powers of ten as in
+    `plain`.
+    """
+    if not (0.0 < half < np.inf and np.isfinite(value)):
+        return plain(value)
+    exponent = exponent_of(max(abs(value), half), 6)
+    power = 0 if -4 <= exponent < 6 else exponent
+    scale = 10.0**-power
+    return _fixed(scale * value, interval_decimals(scale * half, digits)) + _times(power)
+
+
+def interval(value: float, se: float) -> str:
+    """Return 'value ± half of its 95 % interval', both to the second digit of the latter."""
+    half = SURE_95 * se
+    return _pair(value, half) if 0.0 < half < np.inf else f"{value:.4g}"
+
+
 def with_interval(parameter: EffectParameter) -> str:
     """Return a value with its 95 % interval, such as '(3.003 ± 0.011)·10⁸ N/m³'."""
     value, unit = parameter.value, unit_text(parameter.unit)
-    half = None if parameter.se is None else CONFIDENCE * parameter.se
-    power = _power(max(abs(value), half or 0.0))
-    scale = 10.0**-power
-    times = f"·10{str(power).translate(_SUPERSCRIPT)}" if power else ""
-    if half is None or not half > 0:
+    half = 0.0 if parameter.se is None else SURE_95 * parameter.se
+    known = 0.0 < half < np.inf
+    power = _power(max(abs(value), half) if known else abs(value))
+    scale, times = 10.0**-power, _times(power)
+    if not known:
         return f"{_minus(f'{scale * value:.6g}')}{times} {unit}".strip()
-    digits = min(max(interval_decimals(scale * half), 0), 12)
-    inner = f"{_minus(f'{scale * value:.{digits}f}')} ± {scale * half:.{digits}f}"
+    inner = _pair(scale * value, scale * half)
     if times or unit:
         inner = f"({inner}){times}"
     return f"{inner} {unit}".strip()
+
+
+def half_percent(value: float, se: float | None) -> str:
+    """Return half of a value's 95 % interval in percent of the value; a dash if it is unknown."""
+    if se is None or value == 0.0:
+        return "—"
+    return f"{plain(100 * SURE_95 * se / abs(value), 2)} %"
 
 
 def amount(value: float, unit: str) -> str:
@@ -63,8 +88,7 @@ def amount(value: float, unit: str) -> str:
         if power is None:
             factor, prefix = engineering(abs(value), unit)
             return f"{_minus(f'{factor * value:.3g}')} {prefix}{plain}"
-        times = f"·10{str(power).translate(_SUPERSCRIPT)}" if power else ""
-        return f"{_minus(f'{value * 10.0**-power:.3g}')}{times} {plain}".strip()
+        return f"{_minus(f'{value * 10.0**-power:.3g}')}{_times(power)} {plain}".strip()
     factor, prefix = engineering(abs(value), unit)
     return f"{_minus(f'{factor * value:.3g}')} {prefix}{plain}"
 
@@ -78,16 +102,7 @@ def plain(value: float, digits: int = 6) -> str:
     """Return a number in SI units with `digits` digits, and powers of ten as in 1.5·10⁻⁷."""
     text = f"{value:.{digits}g}"
     head, _, exponent = text.partition("e")
-    power = f"·10{str(int(exponent)).translate(_SUPERSCRIPT)}" if exponent else ""
-    return _minus(head) + power
-
-
-def significant(value: float, digits: int) -> str:
-    """Return a number with exactly `digits` digits, zeros at the end too; large ones in full."""
-    decimals = digits - 1 - int(np.floor(np.log10(abs(value)))) if value else 0
-    if abs(value) < 1e-3:
-        return plain(value, digits)
-    return _minus(f"{value:.{min(max(decimals, 0), 12)}f}")
+    return _minus(head) + _times(int(exponent or 0))
 
 
 def times_text(ratio: float) -> str:
@@ -109,6 +124,20 @@ def _power(size: float) -> int:
         return 0
     exponent = int(np.floor(np.log10(size)))
     return 0 if -2 <= exponent < 4 else exponent
+
+
+def _pair(value: float, half: float) -> str:
+    digits = interval_decimals(half)
+    return f"{_fixed(value, digits)} ± {_fixed(half, digits)}"
+
+
+def _fixed(value: float, places: int) -> str:
+    """Return a number rounded to this many decimals, which may be negative, and at most 12."""
+    return _minus(f"{round(value, places):.{min(max(places, 0), 12)}f}")
+
+
+def _times(power: int) -> str:
+    return f"·10{str(power).translate(_SUPERSCRIPT)}" if power else ""
 
 
 def _minus(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,8 +22,10 @@ from ..plotting.panel_grid import legend_of, new_grid, plot_band, plot_curve
 from ..plotting.style import PAGE, Sheet, drawing, frequency_axis, log_ticks
 
 Array = NDArray[np.float64]
+_Kind = Literal["magnitude", "phase"]
 
-_ROW_IN = 1.95
+_ROW_IN, _LOWER = 1.95, 0.8
+"""Height of a row in inches, and that of a row below another of the same path, over it."""
 _DECADES_MOST = 4.5
 _DOMINANT = 1.5
 _NO_PHASE_DEG = 60.0
@@ -41,19 +44,7 @@ def bode_magnitude(
     All panels span the same number of decades. If the diagonal dominates, panel (i, j) is scaled to
     sqrt(|P_ii| |P_jj|), the magnitude of full coupling, so that noise far below it looks small.
     """
-    curves = [inside(c, shown) for c in curves]
-    truth = [inside(c, shown) for c in truth]
-    with drawing(sheet):
-        grid = new_grid(signals.shape, sheet, _ROW_IN, legend_of(curves, truth, shown))
-        limits = _limits([*curves, *truth], signals.shape)
-        for (i, j), ax in grid.panels():
-            _magnitude_panel(ax, shown, signals, (i, j), limits[i][j])
-            for curve in truth:
-                _draw_magnitude(ax, curve, i, j)
-            for curve in curves:
-                _draw_magnitude(ax, curve, i, j)
-        grid.finish_frequency(shown, curves)
-    return grid.figure
+    return _bode(curves, signals, truth, shown, sheet, ("magnitude",))
 
 
 def bode_phase(
@@ -69,18 +60,7 @@ def bode_phase(
     A curve with a deviation is omitted at frequencies with a phase uncertainty of 60 degrees or
     more, where it is noise and covers other curves.
     """
-    curves = [inside(c, shown) for c in curves]
-    truth = [inside(c, shown) for c in truth]
-    with drawing(sheet):
-        grid = new_grid(signals.shape, sheet, _ROW_IN, legend_of(curves, truth, shown))
-        for (i, j), ax in grid.panels():
-            _phase_panel(ax, shown, signals.path(i, j))
-            for curve in truth:
-                _draw_phase(ax, curve, i, j)
-            for curve in curves:
-                _draw_phase(ax, curve, i, j)
-        grid.finish_frequency(shown, curves)
-    return grid.figure
+    return _bode(curves, signals, truth, shown, sheet, ("phase",))
 
 
 def bode(
@@ -92,21 +72,34 @@ def bode(
     sheet: Sheet = PAGE,
 ) -> Figure:
     """Draw magnitude above phase for each input and output, as bode_magnitude and bode_phase do."""
+    return _bode(curves, signals, truth, shown, sheet, ("magnitude", "phase"))
+
+
+def _bode(
+    curves: Sequence[Curve],
+    signals: SignalLabels,
+    truth: Sequence[Curve],
+    shown: Range,
+    sheet: Sheet,
+    kinds: tuple[_Kind, ...],
+) -> Figure:
+    """Draw each output in one row of panels for each kind; the upper row has the path as title."""
     curves = [inside(c, shown) for c in curves]
     truth = [inside(c, shown) for c in truth]
     m, p = signals.shape
-    rows_in = [_ROW_IN, 0.8 * _ROW_IN] * m
+    rows_in = [_ROW_IN if row == 0 else _LOWER * _ROW_IN for row in range(len(kinds))] * m
     with drawing(sheet):
-        grid = new_grid((2 * m, p), sheet, rows_in, legend_of(curves, truth, shown))
+        grid = new_grid((len(rows_in), p), sheet, rows_in, legend_of(curves, truth, shown))
         limits = _limits([*curves, *truth], signals.shape)
         for (row, j), ax in grid.panels():
-            i, is_phase = divmod(row, 2)
-            if is_phase:
-                _phase_panel(ax, shown, "")
-            else:
+            i, place = divmod(row, len(kinds))
+            if kinds[place] == "magnitude":
                 _magnitude_panel(ax, shown, signals, (i, j), limits[i][j])
+            else:
+                _phase_panel(ax, shown, "" if place else signals.path(i, j))
+            draw = _draw_magnitude if kinds[place] == "magnitude" else _draw_phase
             for curve in (*truth, *curves):
-                (_draw_phase if is_phase else _draw_magnitude)(ax, curve, i, j)
+                draw(ax, curve, i, j)
         grid.finish_frequency(shown, curves)
     return grid.figure
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from ...config.model import EffectParameter
 from ...identification.subspace.response_uncertainty import SURE_95
@@ -13,7 +14,6 @@ from ..plotting.number_format import to_interval, unit_text
 from ..plotting.style import engineering
 
 Parameters = Mapping[str, EffectParameter]
-_Clause = Callable[["_Said"], str]
 
 
 def effect_in_words(effect: Effect, parameters: Parameters) -> str:
@@ -22,10 +22,12 @@ def effect_in_words(effect: Effect, parameters: Parameters) -> str:
     Numbers have the digits that their 95 % intervals support. Effects without their own clause,
     such as free forms, have their name.
     """
-    words = _Said(effect, parameters)
-    for start, clause in _CLAUSES.items():
+    words = _Words(effect, parameters)
+    for start, text in _CLAUSES.items():
         if effect.key.startswith(start):
-            return clause(words)
+            if start == "coil_gain" and parameters["gain"].value < -1.0:
+                return f"the force of {words['at']} has the wrong sign"
+            return text.format_map(words)
     return effect.name
 
 
@@ -39,50 +41,40 @@ def place_in_words(where: Sequence[str]) -> str:
     return " and ".join([", ".join(named[:-1]), named[-1]]) if len(named) > 1 else named[0]
 
 
-class _Said:
-    """An effect's place and numbers in words."""
+@dataclass(frozen=True)
+class _Words:
+    """Give the fields of a clause: {at} the place, {s} the verb's s, others a parameter."""
 
-    def __init__(self, effect: Effect, parameters: Parameters) -> None:
-        self._effect, self._parameters = effect, parameters
+    effect: Effect
+    parameters: Parameters
 
-    @property
-    def at(self) -> str:
-        """The place."""
-        return place_in_words(self._effect.where)
+    def __getitem__(self, field: str) -> str | _Parameter:
+        if field == "at":
+            return place_in_words(self.effect.where)
+        if field == "s":
+            return "s" if len(self.effect.where) == 1 else ""
+        return _Parameter(self.parameters.get(field))
 
-    @property
-    def one(self) -> bool:
-        """Whether it is at a single place, which takes a verb with an s."""
-        return len(self._effect.where) == 1
 
-    def verb(self, verb: str) -> str:
-        """Return a verb in the number of the place."""
-        return f"{verb}s" if self.one else verb
+@dataclass(frozen=True)
+class _Parameter:
+    """Format a parameter: {k} is its size, {k:%} in percent, {k:more|less} a word by its sign."""
 
-    def value(self, name: str) -> float:
-        """Return a parameter's value; 0 if the effect has none of that name."""
-        parameter = self._parameters.get(name)
-        return 0.0 if parameter is None else parameter.value
+    found: EffectParameter | None
 
-    def number(self, name: str, factor: float = 1.0, unit: str | None = None) -> str:
-        """Return the size of a parameter with the digits that its interval supports."""
-        parameter = self._parameters[name]
-        size, own = abs(parameter.value), parameter.unit
-        prefix = ""
-        if unit is None:
-            scale, prefix = (1.0, "") if "/" in own or " " in own else engineering(size, own)
-            factor *= scale
-            unit = unit_text(own)
-        half = 0.0 if parameter.se is None else SURE_95 * parameter.se
-        return f"{_digits(factor * size, factor * half)} {prefix}{unit}".strip()
-
-    def percent(self, name: str) -> str:
-        """Return the size of a relative error in percent."""
-        return self.number(name, 100.0, "%")
-
-    def sign(self, name: str, positive: str, negative: str) -> str:
-        """Return one of two words by the sign of a parameter."""
-        return positive if self.value(name) >= 0.0 else negative
+    def __format__(self, spec: str) -> str:
+        positive, bar, negative = spec.partition("|")
+        if bar:
+            return positive if self.found is None or self.found.value >= 0.0 else negative
+        assert self.found is not None
+        size, own = abs(self.found.value), self.found.unit
+        factor, unit = 100.0, "%"
+        if spec != "%":
+            compound = "/" in own or " " in own
+            factor, prefix = (1.0, "") if compound else engineering(size, own)
+            unit = prefix + unit_text(own)
+        half = 0.0 if self.found.se is None else SURE_95 * self.found.se
+        return f"{_digits(factor * size, factor * half)} {unit}".strip()
 
 
 def _digits(size: float, half: float) -> str:
@@ -92,143 +84,77 @@ def _digits(size: float, half: float) -> str:
     return to_interval(size, half, digits=1)
 
 
-def _coil_gain(e: _Said) -> str:
-    if e.value("gain") < -1.0:
-        return f"the force of {e.at} has the wrong sign"
-    more = e.sign("gain", "more", "less")
-    return f"{e.at} {e.verb('give')} {e.percent('gain')} {more} force than commanded"
-
-
-def _friction(e: _Said) -> str:
-    return f"dry friction of {e.number('friction')} acts on {e.at}"
-
-
-def _presliding(e: _Said) -> str:
-    return f"friction with an elastic start acts on {e.at}"
-
-
-def _reads(name: str) -> _Clause:
-    def clause(e: _Said) -> str:
-        return f"{e.at} {e.verb('read')} {e.percent(name)} {e.sign(name, 'too much', 'too little')}"
-
-    return clause
-
-
-def _offset(e: _Said) -> str:
-    return f"{e.at} {e.verb('read')} {e.number('offset')} too {e.sign('offset', 'high', 'low')}"
-
-
-def _arm(e: _Said) -> str:
-    longer = e.sign("arm", "longer", "shorter")
-    return f"the arm lengths are {e.percent('arm')} {longer} than declared"
-
-
-def _mode(e: _Said) -> str:
-    return f"a part of the platform vibrates at {e.number('frequency')}"
-
-
-def _loose_mass(e: _Said) -> str:
-    return f"a mass on a spring vibrates at {e.number('frequency')} on {e.at}"
-
-
-def _shaking(e: _Said) -> str:
-    return f"a vibration of {e.number('frequency')} acts on {e.at}"
-
-
-def _at(text: str) -> _Clause:
-    """Return a clause that only names the place; `{at}` is the place, `{s}` the verb's s."""
-
-    def clause(e: _Said) -> str:
-        return text.format(at=e.at, s="s" if e.one else "")
-
-    return clause
-
-
-def _by_sign(name: str, text: str, positive: str, negative: str) -> _Clause:
-    def clause(e: _Said) -> str:
-        return text.format(at=e.at, s="s" if e.one else "", how=e.sign(name, positive, negative))
-
-    return clause
-
-
-def _with(name: str, text: str) -> _Clause:
-    def clause(e: _Said) -> str:
-        return text.format(at=e.at, s="s" if e.one else "", value=e.number(name))
-
-    return clause
-
-
-_CLAUSES: dict[str, _Clause] = {
-    "rod_stiffness.cubic": _by_sign("k3", "the rods {how} in {at}", "harden", "soften"),
-    "rod_stiffness.asymmetric": _at("the rods are stiffer to one side in {at}"),
-    "rod_stiffness.one_sided": _at("a contact adds stiffness to one side of {at}"),
-    "rod_stiffness.corners": _by_sign("k3", "the rods {how} at the corners", "harden", "soften"),
-    "stiffness.cubic": _by_sign("k3", "the spring of {at} {how}", "hardens", "softens"),
-    "stiffness.asymmetric": _at("the spring of {at} is stiffer to one side"),
-    "stiffness.one_sided": _at("a contact adds stiffness to one side of {at}"),
-    "air_damping.linear": _by_sign(
-        "d", "the damping of {at} is {how} than declared", "higher", "lower"
-    ),
-    "air_damping.across": _at("damping couples {at}"),
-    "air_damping.drag": _at("drag that grows with the speed squared acts on the platform"),
-    "air_damping.squeeze_film": _at("the air film below the platform changes the damping"),
-    "air_damping.quadratic": _at("drag that grows with the speed squared acts on {at}"),
-    "damping.quadratic": _at("drag that grows with the speed squared acts on {at}"),
-    "damping.one_sided": _at("the damping of {at} changes with the position"),
-    "damping.outward": _at("the damping of {at} changes with the position squared"),
-    "damping.asymmetric": _at("the damping of {at} differs between the two directions"),
-    "friction.beam_chain": _at("the beam's cable chain drags on {at}"),
-    "friction.bearing": _at("the beam's bearing has friction"),
-    "friction.beam_tilt": _at("the friction of the beam depends on the tilt"),
-    "friction.beam_presliding": _presliding,
-    "friction.dahl": _presliding,
-    "friction.bouc_wen": _presliding,
-    "friction.lugre": _presliding,
-    "friction.maxwell_slip": _presliding,
-    "friction.": _friction,
-    "flexible_mode.loose_mass": _loose_mass,
-    "flexible_mode.": _mode,
-    "centre_of_mass": _at("the centre of mass is off its declared place ({at})"),
-    "payload": _with("m", "a load of {value} lies on the platform"),
-    "inertia.": _at("the inertia of {at} changes with the position"),
-    "beam_motion.gravity": _by_sign("a", "the beam weighs {how} than declared", "more", "less"),
-    "beam_motion.": _at("the beam's motion pushes {at} otherwise than declared"),
-    "cable_pull.": _at("a cable of the beam pulls on {at}"),
-    "cogging.position": _with("pitch", "the motor of {at} cogs every {value}"),
-    "cogging": _with("pitch", "the beam's motors cog every {value}"),
-    "external_field": _at("a field along the beam's way pulls on {at}"),
-    "rotor.weight": _at("the rotor's weight is off its axis"),
-    "rotor.": _at("the rotor is out of balance"),
-    "coil_gain.relative": _at("the gains of the coils differ"),
-    "coil_gain": _coil_gain,
-    "coil_scale": _by_sign("scale", "all coils give {how} force than declared", "more", "less"),
-    "force_constant.": _at("the force of {at} changes with the position"),
-    "actuator_lag": _with("lag", "the force of {at} lags by {value}"),
-    "delay": _with("delay", "the force of {at} is {value} late"),
-    "dead_zone": _at("{at} give{s} no force at small commands"),
-    "saturation": _at("{at} give{s} less force at large commands"),
-    "force_offset.drift": _at("the force of {at} drifts"),
-    "thermal_drift.": _at("the force of {at} changes as it warms"),
-    "sensor_gain.relative": _at("the gains of the sensors differ"),
-    "sensor_gain": _reads("gain"),
-    "sensor_scale": _by_sign("scale", "all sensors read too {how}", "much", "little"),
-    "sensor_nonlinearity": _at("the reading of {at} is not linear"),
-    "sensor_offset.constant": _offset,
-    "sensor_offset.": _at("the reading of {at} drifts"),
-    "sensor_crosstalk": _at("{at} read{s} a part of each other"),
-    "sensor_lag": _with("lag", "the reading of {at} lags by {value}"),
-    "sensor_stuck": _at("the reading of {at} sticks"),
-    "arm_length.": _arm,
-    "vibration.reading": _with("frequency", "the readings of {at} have a hum of {value}"),
-    "vibration.": _shaking,
-    "backlash.": _with("half", "{at} has a gap of twice {value}"),
-    "magnetic_force": _at("the magnetic force on {at} changes with the gap"),
-    "actuator.times_speed": _at("the force of {at} falls with the speed"),
-    "actuator.quantised": _with("step", "the command of {at} has steps of {value}"),
-    "actuator.": _at("the force of {at} is not proportional to its command"),
-    "reading.lag": _with("lag", "the reading of {at} lags by {value}"),
-    "reading.delay": _with("delay", "the reading of {at} is {value} late"),
-    "reading.": _at("the reading of {at} is not linear"),
-    "gravity.sine": _at("gravity acts on {at} as on a pendulum"),
+_CLAUSES = {
+    "rod_stiffness.cubic": "the rods {k3:harden|soften} in {at}",
+    "rod_stiffness.asymmetric": "the rods are stiffer to one side in {at}",
+    "rod_stiffness.one_sided": "a contact adds stiffness to one side of {at}",
+    "rod_stiffness.corners": "the rods {k3:harden|soften} at the corners",
+    "stiffness.cubic": "the spring of {at} {k3:hardens|softens}",
+    "stiffness.asymmetric": "the spring of {at} is stiffer to one side",
+    "stiffness.one_sided": "a contact adds stiffness to one side of {at}",
+    "air_damping.linear": "the damping of {at} is {d:higher|lower} than declared",
+    "air_damping.across": "damping couples {at}",
+    "air_damping.drag": "drag that grows with the speed squared acts on the platform",
+    "air_damping.squeeze_film": "the air film below the platform changes the damping",
+    "air_damping.quadratic": "drag that grows with the speed squared acts on {at}",
+    "damping.quadratic": "drag that grows with the speed squared acts on {at}",
+    "damping.one_sided": "the damping of {at} changes with the position",
+    "damping.outward": "the damping of {at} changes with the position squared",
+    "damping.asymmetric": "the damping of {at} differs between the two directions",
+    "friction.beam_chain": "the beam's cable chain drags on {at}",
+    "friction.bearing": "the beam's bearing has friction",
+    "friction.beam_tilt": "the friction of the beam depends on the tilt",
+    "friction.beam_presliding": "friction with an elastic start acts on {at}",
+    "friction.dahl": "friction with an elastic start acts on {at}",
+    "friction.bouc_wen": "friction with an elastic start acts on {at}",
+    "friction.lugre": "friction with an elastic start acts on {at}",
+    "friction.maxwell_slip": "friction with an elastic start acts on {at}",
+    "friction.": "dry friction of {friction} acts on {at}",
+    "flexible_mode.loose_mass": "a mass on a spring vibrates at {frequency} on {at}",
+    "flexible_mode.": "a part of the platform vibrates at {frequency}",
+    "centre_of_mass": "the centre of mass is off its declared place ({at})",
+    "payload": "a load of {m} lies on the platform",
+    "inertia.": "the inertia of {at} changes with the position",
+    "beam_motion.gravity": "the beam weighs {a:more|less} than declared",
+    "beam_motion.": "the beam's motion pushes {at} otherwise than declared",
+    "cable_pull.": "a cable of the beam pulls on {at}",
+    "cogging.position": "the motor of {at} cogs every {pitch}",
+    "cogging": "the beam's motors cog every {pitch}",
+    "external_field": "a field along the beam's way pulls on {at}",
+    "rotor.weight": "the rotor's weight is off its axis",
+    "rotor.": "the rotor is out of balance",
+    "coil_gain.relative": "the gains of the coils differ",
+    "coil_gain": "{at} give{s} {gain:%} {gain:more|less} force than commanded",
+    "coil_scale": "all coils give {scale:more|less} force than declared",
+    "force_constant.": "the force of {at} changes with the position",
+    "actuator_lag": "the force of {at} lags by {lag}",
+    "delay": "the force of {at} is {delay} late",
+    "dead_zone": "{at} give{s} no force at small commands",
+    "saturation": "{at} give{s} less force at large commands",
+    "force_offset.drift": "the force of {at} drifts",
+    "thermal_drift.": "the force of {at} changes as it warms",
+    "sensor_gain.relative": "the gains of the sensors differ",
+    "sensor_gain": "{at} read{s} {gain:%} {gain:too much|too little}",
+    "sensor_scale": "all sensors read too {scale:much|little}",
+    "sensor_nonlinearity": "the reading of {at} is not linear",
+    "sensor_offset.constant": "{at} read{s} {offset} too {offset:high|low}",
+    "sensor_offset.": "the reading of {at} drifts",
+    "sensor_crosstalk": "{at} read{s} a part of each other",
+    "sensor_lag": "the reading of {at} lags by {lag}",
+    "sensor_stuck": "the reading of {at} sticks",
+    "arm_length.": "the arm lengths are {arm:%} {arm:longer|shorter} than declared",
+    "vibration.reading": "the readings of {at} have a hum of {frequency}",
+    "vibration.": "a vibration of {frequency} acts on {at}",
+    "backlash.": "{at} has a gap of twice {half}",
+    "magnetic_force": "the magnetic force on {at} changes with the gap",
+    "actuator.times_speed": "the force of {at} falls with the speed",
+    "actuator.quantised": "the command of {at} has steps of {step}",
+    "actuator.": "the force of {at} is not proportional to its command",
+    "reading.lag": "the reading of {at} lags by {lag}",
+    "reading.delay": "the reading of {at} is {delay} late",
+    "reading.": "the reading of {at} is not linear",
+    "gravity.sine": "gravity acts on {at} as on a pendulum",
 }
-"""Clause of each effect by the start of its key; the first one that fits counts."""
+"""Clause of each effect by the start of its key; the first one that fits counts.
+
+The fields are those of _Words."""

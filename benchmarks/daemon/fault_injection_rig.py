@@ -342,16 +342,18 @@ def _rests(status: Status) -> bool:
 
 def _parent(pid: int) -> int | None:
     """Return the parent of a process, None if the process has ended."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return None
-    return int(stat[stat.rfind(")") + 2 :].split()[1])
+    stat = _stat(pid)
+    return int(stat[1]) if stat else None
 
 
 def _runs(pid: int) -> bool:
+    stat = _stat(pid)
+    return bool(stat) and stat[0] not in ("Z", "X")  # a zombie
+
+
+def _stat(pid: int) -> list[str]:
+    """Return state, parent and further fields of a process; none if the process has ended."""
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
-        return False
-    return not stat[stat.rfind(")") + 2 :].startswith(("Z", "X"))  # a zombie
+        return []

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from levid.benchmarks.harness import benchmark_runner
 from levid.benchmarks.harness.benchmark_runner import Figure, Target
+from levid.benchmarks.harness.processor_time import processor_time_s
 from levid.benchmarks.harness.ratio_interval import Round, ratio_figures
 from levid.benchmarks.harness.running_daemon import Daemon, loopback_rig, running
 from levid.benchmarks.harness.start_and_end_processes import started
@@ -124,16 +125,10 @@ def _late(rows: NDArray[np.void]) -> int:
 
 def _turn(daemon: Daemon, live: int) -> Turn:
     time.sleep(SETTLE_S)  # it catches up on the rows of a turn without it
-    begin, begin_s, used_s = daemon.ask("status")["cycle"], time.monotonic(), _cpu_s(live)
+    begin, begin_s, used_s = daemon.ask("status")["cycle"], time.monotonic(), processor_time_s(live)
     time.sleep(TURN_S)
-    share = (_cpu_s(live) - used_s) / (time.monotonic() - begin_s)
+    share = (processor_time_s(live) - used_s) / (time.monotonic() - begin_s)
     return Turn(begin, daemon.ask("status")["cycle"], 100.0 * share)
-
-
-def _cpu_s(pid: int) -> float:
-    """Return the processor time of a process in s, to the ns."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return 1e-9 * sum(int((task / "schedstat").read_text().split()[0]) for task in tasks)
 
 
 def _clients(count: int) -> AbstractContextManager[subprocess.Popen[bytes]]:

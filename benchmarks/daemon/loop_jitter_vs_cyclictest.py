@@ -13,7 +13,6 @@ cyclictest before and after it. The full run takes 1 to 2 hours, --quick two min
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -32,6 +31,7 @@ from levid.benchmarks.harness import benchmark_runner
 from levid.benchmarks.harness.benchmark_runner import Figure, Target
 from levid.benchmarks.harness.busy_disk import busy_disk
 from levid.benchmarks.harness.logged_vs_flown_rows import Flown, Found, found_in
+from levid.benchmarks.harness.processor_time import processor_time_s
 from levid.benchmarks.harness.ratio_interval import Round, again, ratio_figures
 from levid.benchmarks.harness.real_time import Rights
 from levid.benchmarks.harness.running_daemon import loopback_rig, require_no_fault, running
@@ -206,13 +206,13 @@ def fly(rate_hz: int, seconds: float) -> Turn:
             levitate = {"ramp_s": 0.5, "settle_s": 0, "check_coils": False}
             with Client(daemon.socket) as client:
                 client.request("levitate", levitate=levitate, out=logs)
-            began_s, used_s = time.monotonic(), _processor_s(recorder)
+            began_s, used_s = time.monotonic(), processor_time_s(recorder)
             while (left_s := began_s + seconds - time.monotonic()) > 0:
                 time.sleep(min(left_s, 1.0))
                 flown.look()
                 if flown.control_words.fault:
                     require_no_fault(daemon.ask("status"))
-            used_s = _processor_s(recorder) - used_s
+            used_s = processor_time_s(recorder) - used_s
             took_s = time.monotonic() - began_s
             restarts = daemon.land()["recorder_restarts"]
             flown.wait_until_written()
@@ -244,12 +244,6 @@ def _rig(folder: Path, rate_hz: int) -> Path:
     plain |= {"rate_hz": rate_hz, "realtime": {"priority": PRIORITY, "cpu_latency_us": 0}}
     file.write_text(yaml.safe_dump(plain))
     return file
-
-
-def _processor_s(pid: int) -> float:
-    """Return the processor time of a process in s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _rest() -> None:

@@ -24,6 +24,7 @@ from statistics import median
 
 from levid.benchmarks.harness import benchmark_runner
 from levid.benchmarks.harness.benchmark_runner import Figure, Target
+from levid.benchmarks.harness.processor_time import processor_time_s
 from levid.benchmarks.harness.running_daemon import Daemon, loopback_rig, running
 
 SIZES = ((80, 24), (160, 50))
@@ -31,7 +32,6 @@ _MOST = 5.0
 """Limit of the screen in percent of a processor."""
 _STARTING_S, _SETTLED_S = 60.0, 2.0
 _LIMITS = {"late_cycles": 10_000, "late_in_window": 1_000_000, "stall_s": 20}
-_TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def measure(quick: bool) -> Iterator[Figure]:
@@ -65,15 +65,12 @@ def _of_size(
 
 def _percent(pids: tuple[int, ...], period_s: float) -> list[float]:
     """Return the processor time of processes in percent of one processor."""
-    begun_s, before = time.monotonic(), [_ticks(pid) for pid in pids]
+    begun_s, before = time.monotonic(), [processor_time_s(pid) for pid in pids]
     time.sleep(period_s)
-    passed = (time.monotonic() - begun_s) * _TICKS
-    return [100.0 * (_ticks(pid) - b) / passed for pid, b in zip(pids, before, strict=True)]
-
-
-def _ticks(pid: int) -> int:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return int(fields[11]) + int(fields[12])
+    passed_s = time.monotonic() - begun_s
+    return [
+        100.0 * (processor_time_s(pid) - b) / passed_s for pid, b in zip(pids, before, strict=True)
+    ]
 
 
 @contextmanager

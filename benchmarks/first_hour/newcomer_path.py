@@ -20,10 +20,13 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import NamedTuple
 
 from levid.benchmarks.harness import benchmark_runner
 from levid.benchmarks.harness.benchmark_runner import Figure
+from levid.benchmarks.harness.start_and_end_processes import started
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "build" / "screenshots"
@@ -60,23 +63,30 @@ class Newcomer:
             raise RuntimeError(f"{command}: exit code {done.returncode}: {done.stdout[-1000:]}")
         return done.stdout
 
-    @contextlib.contextmanager
-    def running(self, command: str) -> Iterator[subprocess.Popen[str]]:
-        """Run a command until the body ends, then press Ctrl-C."""
+    def running(self, command: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
+        """Run a command that stands on a page until the body ends."""
         self._require(command)
-        process = subprocess.Popen(
+        return started(
             command.split(), cwd=self.clone, env=self.environment,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        try:
-            yield process
-        finally:
-            process.send_signal(2)
-            process.wait(_WAIT_S)
 
     def _require(self, command: str) -> None:
         if command not in self.pages:
-            raise RuntimeError(f"the README does not say: {command}")
+            raise RuntimeError(f"expected in README.md or docs/live.md: {command}")
+
+
+class Step(NamedTuple):
+    """A step: what it is called, what it does and shows, and the program that it needs, if any.
+
+    slow: --quick leaves it out.
+    """
+
+    key: str
+    label: str
+    take: Callable[[], str]
+    program: str = ""
+    slow: bool = False
 
 
 def first_sentence(page: Path) -> str:
@@ -195,32 +205,30 @@ def measure(quick: bool) -> Iterator[Figure]:
 
         flown = "levid excite my-session.yaml --virtual --sim config/sims/undeclared.yaml "
         found = clone / "out" / "demo-1" / "trace" / "found" / "index.html"
-        steps: list[tuple[str, str, Callable[[], str], str, bool]] = [
-            ("install", "installation", install, "", True),
-            ("demo", "make demo", lambda: newcomer.do("make demo"), "", False),
-            ("report", "report in the browser", lambda: first_sentence(found), "chromium", False),
-            ("session", "change and check a session", lambda: changed_session(newcomer), "", True),
-            ("flight", "fly it", lambda: newcomer.do(f"{flown}--out out/mine"), "", True),
-            (
-                "trace",
-                "trace it",
-                lambda: newcomer.do("levid trace out/mine/*.mcap --out out/mine/found"),
-                "",
-                False,
+        traced = "levid trace out/mine/*.mcap --out out/mine/found"
+        steps = (
+            Step("install", "installation", install),
+            Step("demo", "make demo", lambda: newcomer.do("make demo"), slow=True),
+            Step(
+                "report", "report in the browser", lambda: first_sentence(found), "chromium",
+                slow=True,
             ),
-            ("python", "load and identify in Python", python, "", True),
-            ("pictures", "pictures of all pages", lambda: pictures(clone), "chromium", True),
-            ("watch", "daemon and watch", lambda: watched_flight(newcomer), "tmux", True),
-            ("live", "live page", lambda: live_page(newcomer), "", True),
-        ]
-        for key, label, step, program, always in steps:
-            if (quick and not always) or (program and shutil.which(program) is None):
+            Step("session", "change and check a session", lambda: changed_session(newcomer)),
+            Step("flight", "fly it", lambda: newcomer.do(f"{flown}--out out/mine")),
+            Step("trace", "trace it", lambda: newcomer.do(traced), slow=True),
+            Step("python", "load and identify in Python", python),
+            Step("pictures", "pictures of all pages", lambda: pictures(clone), "chromium"),
+            Step("watch", "daemon and watch", lambda: watched_flight(newcomer), "tmux"),
+            Step("live", "live page", lambda: live_page(newcomer)),
+        )  # fmt: skip
+        for step in steps:
+            if (step.slow and quick) or (step.program and not shutil.which(step.program)):
                 continue
             begin_s = time.monotonic()
-            shown = step()
+            shown = step.take()
             took_s = time.monotonic() - begin_s
-            print(f"== {label}: {took_s:.0f} s\n{shown[-1500:]}", file=sys.stderr)
-            yield Figure(f"{key}_s", took_s, "s", label)
+            print(f"== {step.label}: {took_s:.0f} s\n{shown[-1500:]}", file=sys.stderr)
+            yield Figure(f"{step.key}_s", took_s, "s", step.label)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from ...daemon.control.states import IN_FLIGHT, State
 from ..readable_values import Scale, duration
 from .bars import bar, chart, signed_bar, style_of
 from .styled_lines import Line, fit, title, wrap
-from .view import Status, View
+from .view import Status, View, in_flight
 
 _STALE_S = 2.0
 """Age of the readings from which the screen says so."""
@@ -40,7 +40,7 @@ def state_panel(status: Status, width: int, most: int) -> list[Line]:
     if status["fault"] != "NONE":
         return (lines + _fault(status, width))[:most]
     lines.append(_session(status, width))
-    if _flying(status):
+    if in_flight(status):
         return lines[:most]
     for failed in (f for f in status["preflight"] if f["outcome"] == "failed"):
         text = f"not ready to lift off: {failed['check']}: {failed['found']}"
@@ -52,7 +52,7 @@ def pose_panel(view: View, status: Status, width: int) -> list[Line]:
     """Draw the pose and the manipulator as bars against their limits."""
     old_s = view.without_cycle_s
     heading = "pose" if old_s < _STALE_S else f"pose, {duration(old_s)} old"
-    flying = _flying(status)
+    flying = in_flight(status)
     heading += "" if flying else "; limits apply in flight"
     lines = [title(heading, width)]
     for quantity in (*status["pose"], *status["manipulator"]):
@@ -98,7 +98,7 @@ def gaps_panel(view: View, status: Status, width: int) -> list[Line]:
     gaps = status["gaps"]
     scale = view.scale("gap", gaps["unit"], gaps["noise"], gaps["limit"])
     heading = f"sensors, gap in {scale.unit}: limit ±{scale.limit(gaps['limit'])}"
-    lines, flying = [title(heading, width)], _flying(status)
+    lines, flying = [title(heading, width)], in_flight(status)
     for index, value in enumerate(gaps["value"]):
         part = None if value is None else value / gaps["limit"]
         style = _emphasis(part, flying)
@@ -121,7 +121,7 @@ def channels_as_numbers(view: View, status: Status, width: int) -> tuple[list[Li
         ],
         [
             title(f"gaps {gap.unit}, of ±{gap.limit(gaps['limit'])}", width),
-            *_numbers(gaps["value"], gap, gaps["limit"], width, _flying(status)),
+            *_numbers(gaps["value"], gap, gaps["limit"], width, in_flight(status)),
         ],
     )
 
@@ -142,7 +142,7 @@ def channels_in_short(view: View, status: Status, width: int) -> list[Line]:
         if not known:
             continue
         largest, index = max(known)
-        applies = name != "gap" or _flying(status)
+        applies = name != "gap" or in_flight(status)
         style = style_of(largest / limit, applies) if limit else ""
         text = f"{scale.text(values[index])} {scale.unit}"
         of = f" of {scale.limit(limit)}" if limit else ""
@@ -310,8 +310,3 @@ def _emphasis(part: float | None, applies: bool = True) -> str:
 def _end_of(path: str, width: int) -> str:
     """Return the end of a path that is too long."""
     return path if len(path) <= width else f"…{path[len(path) - width + 1 :]}"
-
-
-def _flying(status: Status) -> bool:
-    """Return whether the platform is in flight: limits of pose and gap do not apply at rest."""
-    return status["state"] in {state.name for state in IN_FLIGHT}

@@ -17,12 +17,11 @@ from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 
-from ...daemon.control.states import IN_FLIGHT, State
 from ..entry import STOPPED
 from .daemon_connection import DaemonConnection
 from .dashboard import draw
 from .styled_lines import STYLES, Line
-from .view import View
+from .view import View, in_flight
 
 _CLOCK_S, _MESSAGE_S = 1.0, 10.0
 _STYLES = {name: Style.parse(text) for name, text in STYLES.items()}
@@ -141,7 +140,7 @@ class WatchApp(App[None]):
         if status is None or self.view.problem:
             self._say("not connected to the daemon", "bad")
             return
-        flying = State[status["state"]] in IN_FLIGHT or status["session"]
+        flying = in_flight(status) or status["session"]
         if op == "land" and not flying:
             self._say("no flight to land", "warning")
         elif op == "clear" and status["fault"] == "NONE":

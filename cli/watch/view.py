@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...daemon.control.states import IN_FLIGHT
 from ..readable_values import Scale, scale_of
 
 _HISTORY = 600
@@ -105,6 +106,11 @@ class View:
 
     def _observe(self, text: str) -> None:
         self._observed.append((time.time(), text))
+
+
+def in_flight(status: Status) -> bool:
+    """Return whether the platform is in flight: limits of pose and gap do not apply at rest."""
+    return status["state"] in {state.name for state in IN_FLIGHT}
 
 
 def _changes(before: Status, now: Status) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ _REPEAT_S = 60.0
 
 @dataclass
 class _Topic:
-    logged_s: float
+    logged_s: float = -math.inf
     suppressed: int = 0
     latest: str = ""
 
@@ -28,21 +29,18 @@ class RateLimitedLog:
 
     def line(self, topic: str, now_s: float, text: str) -> None:
         """Log `text`, or count it; `now_s` is a monotonic time in s."""
-        known = self._topics.get(topic)
-        if known is not None and now_s - known.logged_s < self._repeat_s:
-            known.suppressed, known.latest = known.suppressed + 1, text
-            return
-        suppressed = known.suppressed if known is not None else 0
-        self._topics[topic] = _Topic(now_s)
-        self._log(f"{text} (and {_events(suppressed)} before)" if suppressed else text)
+        before = self._topics.get(topic, _Topic())
+        if self.due(topic, now_s):
+            self._log(_counted(text, before.suppressed))
+        else:
+            before.suppressed, before.latest = before.suppressed + 1, text
 
     def due(self, topic: str, now_s: float) -> bool:
         """Return whether a line may be logged now; if so, count it as logged.
 
         For lines that contain their own sum.
         """
-        known = self._topics.get(topic)
-        if known is not None and now_s - known.logged_s < self._repeat_s:
+        if now_s - self._topics.get(topic, _Topic()).logged_s < self._repeat_s:
             return False
         self._topics[topic] = _Topic(now_s)
         return True
@@ -51,11 +49,12 @@ class RateLimitedLog:
         """Log the last suppressed line of each topic whose minute is over."""
         for name, topic in self._topics.items():
             if topic.suppressed and now_s - topic.logged_s >= self._repeat_s:
-                more = topic.suppressed - 1
                 self._topics[name] = _Topic(now_s)
-                before = f" (and {_events(more)} before)" if more else ""
-                self._log(f"{topic.latest}{before}")
+                self._log(_counted(topic.latest, topic.suppressed - 1))
 
 
-def _events(count: int) -> str:
-    return f"{count} similar event{'s' * (count != 1)}"
+def _counted(text: str, suppressed: int) -> str:
+    """Return a line with the number of lines that were left out before it."""
+    if not suppressed:
+        return text
+    return f"{text} (and {suppressed} similar event{'s' * (suppressed != 1)} before)"

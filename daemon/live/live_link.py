@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
-import math
 import os
 import secrets
 import socket
@@ -19,6 +18,7 @@ from ..api.control_server import Server
 from ..host.child_process import Child, ChildSilence, module_of
 from ..host.clock_excluding_suspension import ProcessClock
 from ..host.peer_credentials import Role
+from ..host.rate_limited_log import RateLimitedLog
 from ..ipc.shared_memory import SharedMemory
 
 HUNG_S = 10.0
@@ -27,7 +27,6 @@ _STARTING_S = 60.0
 _STABLE_S = 30.0
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 60.0
 """Pause between two starts; it begins anew after the process ran for `_STABLE_S`."""
-_REPEAT_S = 60.0
 TOKEN_FILE = "live-token"
 
 
@@ -51,6 +50,7 @@ class LiveLink:
         log: Callable[[str], None],
     ) -> None:
         self._live, self._shared, self._server, self._log = rig.live, shared, server, log
+        self._rarely = RateLimitedLog(log)
         self._token_file = folder / TOKEN_FILE
         control = rig.live is not None and rig.live.control
         token = secrets.token_urlsafe(32) if control else ""
@@ -64,7 +64,6 @@ class LiveLink:
         self._heard_s: float | None = None
         self._running = False  # it has sent a request since its start
         self._started_s, self._pause_s, self._restart_s = 0.0, _FIRST_PAUSE_S, 0.0
-        self._logged_s = -math.inf
         self._started = False
         if self._live is not None and importlib.util.find_spec("foxglove") is None:
             raise ConfigError(
@@ -95,7 +94,7 @@ class LiveLink:
             return
         limit_s = HUNG_S if self._running else _STARTING_S
         if used_s is None or self._silence.passed_s(now_s) > limit_s:
-            self._log_rarely(now_s, "killed the live view: it does not respond")
+            self._rarely.line("live", now_s, "killed the live view: it does not respond")
             self._child.kill(0.0)
 
     def announce(self) -> None:
@@ -124,7 +123,9 @@ class LiveLink:
 
     def _start(self, now_s: float) -> None:
         if self._started:
-            self._log_rarely(now_s, f"the live view ended ({self._child.end}) and is restarted")
+            self._rarely.line(
+                "live", now_s, f"the live view ended ({self._child.end}) and is restarted"
+            )
         self._started = True
         self._started_s = now_s
         self._restart_s = now_s + self._pause_s
@@ -141,15 +142,10 @@ class LiveLink:
                     used.append(self._server.adopt(our, role))
                 self._child.start((memory, os.getpid(), *theirs), (memory, *theirs))
             except OSError as error:
-                self._log_rarely(now_s, f"cannot start the live view: {error}")
+                self._rarely.line("live", now_s, f"cannot start the live view: {error}")
                 return
         self._used = used[0]
         self._heard_s, self._running = self._used(), False
-
-    def _log_rarely(self, now_s: float, line: str) -> None:
-        if now_s - self._logged_s >= _REPEAT_S:
-            self._logged_s = now_s
-            self._log(line)
 
 
 def _write_secret(path: Path, text: str) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 from ...config.rig import RigConfig
 from ..host.child_process import receive_signals
 from ..host.process_confinement import Confinement, confine, lower_priority
+from ..host.rate_limited_log import RateLimitedLog
 from ..host.real_time_scheduling import set_process_name, signal_at_parent_death
 from ..host.syscall_filter import forbid_syscalls
 from ..ipc.shared_memory import SharedMemory
@@ -66,7 +67,7 @@ class LiveProcess:
         self._page_rows = _decimator(shared, rig.rate_hz, _PAGE_HZ)
         self._period_s = 1.0 / rig.rate_hz
         self._status_event = b""
-        self._refused_s = 0.0
+        self._rarely = RateLimitedLog(_print_error, _REPEAT_S)
         self._events = FlightEvents(self._on_event)
         self._stream = FoxgloveStream(f"levid: {rig.name}", shared.dtype, rig.rate_hz)
         self._proxy = WebSocketProxy(
@@ -166,10 +167,11 @@ class LiveProcess:
         return await self._flights.ask(op, **more)
 
     def _report_refusal(self, reason: str) -> None:
-        now_s = time.monotonic()
-        if now_s - self._refused_s > _REPEAT_S:
-            self._refused_s = now_s
-            print(f"live view: {reason}", file=sys.stderr, flush=True)  # noqa: T201
+        self._rarely.line("refused", time.monotonic(), f"live view: {reason}")
+
+
+def _print_error(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)  # noqa: T201
 
 
 def _decimator(shared: SharedMemory, rate_hz: float, to_hz: float) -> Decimator:

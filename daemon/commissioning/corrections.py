@@ -18,8 +18,8 @@ from .errors import CommissionError
 
 _STROKE_OFF, _BEAM_OFF = 0.03, 0.2
 _HOVER, _WEIGHT, _ROOM = 2.5, 1.25, 0.5
-"""Of a first lift: force of a coil over its share of the weight, all forces over the weight, tilt
-and speed over their limits."""
+"""Limits of a first lift: coil force over its share of the weight, total force over the weight,
+tilt and speed over their own limits."""
 _CYCLES = 2.0
 """From a command to a reading: it acts from the next cycle on, which is read at its end."""
 _LATE_CYCLES, _SURE = 0.5, 4.0
@@ -82,7 +82,7 @@ def remarks(found: Commissioned, rig: RigConfig) -> list[str]:
             else []
         ),
         *(
-            f"the way of the {encoder.axis} was not measured by hand"
+            f"the motion of the {encoder.axis} was not measured by hand: its scale is not checked"
             for encoder in found.encoders
             if encoder.scale is None
         ),

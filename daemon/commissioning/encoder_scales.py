@@ -1,4 +1,4 @@
-"""Compare what the encoders of beam and rotor say with what the operator measures."""
+"""Compare the encoders of beam and rotor with motions that the operator measures by hand."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from .device_session import DeviceSession
 
 Axis = Literal["beam", "rotor"]
 Measure = Callable[[Axis, float], "Future[float | None]"]
-"""Function that asks how far an axis has moved, which should be by the number (m or rad); what it
-returns is done as soon as the operator has answered, with None for not measured."""
+"""Function that asks how far an axis has moved; it gets the axis and the commanded motion in m or
+rad. Its future ends with the answer of the operator in the same unit, None for not measured."""
 
 _OFF = 0.05
-"""Relative error that a ruler or a protractor tells from none over 20 mm or 30 degrees."""
+"""Smallest relative error that a ruler or a protractor detects over 20 mm or 30 degrees."""
 _ANSWER_S = 600.0
 _LOOK_S = 0.1
 
 
 @dataclass(frozen=True)
 class EncoderScale:
-    """Way that was measured over that which the encoder says; None if nobody measured it."""
+    """Measured motion over the motion that the encoder reports; None if it was not measured."""
 
     axis: Axis
     scale: float | None
 
     @property
     def problem(self) -> str | None:
-        """What has to be repaired, if anything."""
+        """Error of the drives that must be repaired; None if there is none."""
         if self.scale is None or abs(self.scale - 1.0) <= _OFF:
             return None
         if self.scale < 0.0:

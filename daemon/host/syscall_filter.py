@@ -1,4 +1,4 @@
-"""Take system calls from this process for good, with seccomp: what it has open is all it may use.
+"""Forbid system calls of this process with seccomp, so that it only uses descriptors it has open.
 
 Limits of a user do not confine a process that runs as the same user as the rest of the daemon: it
 could write other processes' memory, kill them, or connect to their sockets.
@@ -77,7 +77,7 @@ _FORBIDDEN: dict[str, tuple[int | None, int | None]] = {
     "lchown": (94, None),
     "fchownat": (260, 54),
     "open_by_handle_at": (304, 265),
-    # what could go round the filter
+    # ways around the filter
     "io_uring_setup": (425, 425),
     "unshare": (272, 97),
     "setns": (308, 268),
@@ -88,12 +88,13 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def forbid_syscalls() -> str:
-    """Forbid this process, all its threads included, to use more than it has open.
+    """Forbid all threads of this process system calls that reach other processes or change files.
 
-    It can then start no process, signal or trace none, open files only to read, and connect to
-    Internet addresses only: local sockets tell their server the user, who may have more rights. It
-    keeps its open descriptors and may start threads. Requires "no new privileges" (`confine`).
-    Returns a warning if this kernel or processor has no such filter, else "".
+    The process can then no longer start, signal or trace processes. It opens files only to read,
+    and connects only to Internet addresses, because the server of a local socket would see its
+    user, who may have more rights. It keeps its open descriptors and may start threads. Requires
+    "no new privileges" (`confine`). Returns a warning if this kernel or processor has no such
+    filter, else "".
     """
     known = _ARCHITECTURES.get(platform.machine())
     if known is None:

@@ -41,7 +41,7 @@ class Decimator:
         self._runs = _runs_of(ring.dtype)
 
     def skip(self) -> None:
-        """Skip the rows written so far, while nobody watches."""
+        """Skip the rows written so far, while no client watches."""
         self._next = self._ring.head
 
     def read(self) -> Decimated | None:

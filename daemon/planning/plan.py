@@ -61,7 +61,7 @@ class Plan:
     rate_hz: float
     steps: tuple[PlannedStep, ...]
     note: str = ""
-    """What the user writes about this flight, for its logs."""
+    """Note of the user on this flight, for its logs."""
 
     @property
     def cycles(self) -> int:

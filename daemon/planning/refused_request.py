@@ -1,4 +1,4 @@
-"""What a planner and those who ask it share: the situation of a request, and its refusal."""
+"""Describe the situation of a request to the planner, and refuse it with a remedy."""
 
 from __future__ import annotations
 

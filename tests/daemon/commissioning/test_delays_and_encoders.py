@@ -124,7 +124,7 @@ def test_encoders_are_what_the_operator_measures(
     said = problems(found)
     assert len(said) == len(words)
     assert all(word in line for word, line in zip(words, said, strict=True))
-    unmeasured = [line for line in remarks(found, rig) if "was not measured" in line]
+    unmeasured = [line for line in remarks(found, rig) if "not measured by hand" in line]
     assert len(unmeasured) == (beam is None)
 
 
@@ -137,5 +137,5 @@ def test_command_asks_for_what_is_measured(levid, tmp_path: Path, monkeypatch) -
     outcome = levid("commission", path, "--out", tmp_path / "new.yaml", "--measure")
     assert outcome.code == 0, outcome.out
     assert "The encoder reports that the beam moved by 20 mm." in outcome.err
-    assert "the way of the rotor was not measured by hand" in outcome.out
+    assert "the motion of the rotor was not measured by hand" in outcome.out
     assert "the heights follow a coil's command after 2.5" in outcome.out

@@ -122,7 +122,7 @@ def signal_spectra(
     The mean of each segment is removed. Missing values are taken as the segment's mean.
 
     Raises:
-        LogError: the range has fewer than 16 rows.
+        LogError: the range has fewer than 64 rows.
     """
     signals = _signals(log, columns)
     whole = log.stated_rows or _LONGEST_SEGMENT

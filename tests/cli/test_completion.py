@@ -149,15 +149,16 @@ def test_completion_imports_no_heavy_module(folder: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 @pytest.mark.parametrize(
-    ("typed", "line"),
+    "steps",
     [
-        ("levid ident\t", "levid identify "),
-        ("levid run m\t", "levid run my\\ rig.yaml "),
-        ("levid excite --vi\t", "levid excite --virtual "),
-        ("levid identify su\tb\t", "levid identify sub/b.mcap "),
+        (("levid ident", "levid identify "),),
+        (("levid run m", "levid run my\\ rig.yaml "),),
+        (("levid excite --vi", "levid excite --virtual "),),
+        (("levid identify su", "levid identify sub/"), ("b", "levid identify sub/b.mcap ")),
     ],
 )
-def test_tab_key_in_bash(folder: Path, typed: str, line: str) -> None:
+def test_tab_key_in_bash(folder: Path, steps: tuple[tuple[str, str], ...]) -> None:
+    """Type each text and the Tab key, and wait until the line is as expected."""
     start = folder / "bashrc"
     start.write_text("PS1='> '\nbind 'set bell-style none'\nsource <(levid completion bash)\n")
     child, terminal = pty.fork()
@@ -169,29 +170,19 @@ def test_tab_key_in_bash(folder: Path, typed: str, line: str) -> None:
     try:
         read_until(terminal, "> ")
         shown = ""
-        for part in typed.split("\t")[:-1]:
-            os.write(terminal, f"{part}\t".encode())
-            shown += read_until(terminal, part) + read_more(terminal)
-        assert line in shown.replace("\r", "")
+        for typed, line in steps:
+            os.write(terminal, f"{typed}\t".encode())
+            shown = read_until(terminal, line, shown)
     finally:
         os.close(terminal)
         os.waitpid(child, 0)
 
 
-def read_until(terminal: int, text: str) -> str:
-    shown, until_s = "", time.monotonic() + _PATIENCE_S
+def read_until(terminal: int, text: str, shown: str = "") -> str:
+    """Return `shown` and what the terminal writes after it, up to the first text in it."""
+    until_s = time.monotonic() + _PATIENCE_S
     while text not in shown:
         ready, _, _ = select.select([terminal], [], [], max(until_s - time.monotonic(), 0.0))
         assert ready, shown
-        shown += os.read(terminal, 1 << 16).decode()
-    return shown
-
-
-def read_more(terminal: int) -> str:
-    """Return what bash writes until levid has answered: bash echoes nothing before."""
-    shown, until_s = "", time.monotonic() + _PATIENCE_S
-    while not shown.strip("\x07"):
-        ready, _, _ = select.select([terminal], [], [], max(until_s - time.monotonic(), 0.0))
-        assert ready, shown
-        shown += os.read(terminal, 1 << 16).decode()
+        shown += os.read(terminal, 1 << 16).decode().replace("\r", "")
     return shown

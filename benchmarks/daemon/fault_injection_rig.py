@@ -1,5 +1,7 @@
 """Fly a rig on a bus, its electronics and daemon in their own processes, and count its force.
 
+Without a bus, on the loopback backend, the simulated rig is in the daemon's loop.
+
 The rig flies at 50 Hz and bridges two cycles without a reading: 40 ms outlast the stalls of a
 desktop kernel (4 to 11 ms, at times 20). Deadlines count in cycles, which are 20 ms here; shipped
 rigs fly faster and bridge 20. The gains are a quarter to a half of the shipped ones, which diverge
@@ -25,12 +27,20 @@ from typing import Any, TypeVar
 import yaml
 
 from levid.benchmarks.daemon import fault_injecting_electronics
+from levid.benchmarks.daemon.fault_injecting_loopback import (
+    BACKEND,
+    LoopbackClient,
+    install_backend,
+)
 from levid.benchmarks.harness.real_time import ELECTRONICS, hurry
 from levid.benchmarks.harness.running_daemon import loopback_rig
 from levid.benchmarks.harness.start_and_end_processes import started
+from levid.config.backends import ROLES
 from levid.daemon.client import Client, DaemonError
 
 BUSES = ("canfd", "serial")
+LOOPBACK = "loopback"
+"""In place of a bus: no electronics."""
 HOLDING = ("LEVITATING", "EXCITING", "MOVING")
 FLYING = (*HOLDING, "LANDING")
 RATE_HZ = 50
@@ -41,10 +51,11 @@ SUPERVISOR_S = 1.0
 """Timeout of the supervisor's heartbeat."""
 LANDING_S, RAMP_S = 4.0, 0.3
 """Descent from the state LANDING, and from the others."""
-GIVE_UP_S = 40.0
+GIVE_UP_S = 120.0
+"""A start takes 5 s, and 40 s beside two busy processes a processor."""
 WATCHED_S = 1.0
 """Time for which force must stay zero after a fault."""
-_BEGINS_S = 10.0
+_BEGINS_S = 20.0
 _LIFT = {"unload_s": 0.2, "ramp_s": 0.4, "settle_s": 0.2, "check_coils": False}
 _SESSION = {
     "levid": "session",
@@ -72,7 +83,10 @@ class NotInjectedError(Exception):
 
 
 class Rig:
-    """Electronics and daemon on one bus; `close` ends all processes. `more`: see rig_of."""
+    """Electronics and daemon on one bus, or a daemon with the loopback backend.
+
+    `close` ends all processes. `more`: see rig_of.
+    """
 
     def __init__(self, bus: str, folder: Path, **more: dict[str, Any]) -> None:
         self.bus, self.folder, self.flight = bus, folder, folder
@@ -83,11 +97,20 @@ class Rig:
         self._client: socket.socket | None = None
         self._processes = contextlib.ExitStack()
         self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
+        self._electronics: subprocess.Popen[bytes] | None = None
+        self._loopback: LoopbackClient | None = None
         try:
-            self._electronics = self._start([fault_injecting_electronics.__file__], subprocess.PIPE)
-            self.say("status")
-            hurry(ELECTRONICS, self._electronics.pid)  # real ones do not wait for a processor
-            self.daemon = self._start(["-m", "levid.cli.main", "run"])
+            if bus == LOOPBACK:
+                self._environment: dict[str, str] | None = install_backend(folder)
+                self._loopback = LoopbackClient(folder)
+                self._processes.callback(self._loopback.close)
+            else:
+                self._environment = None
+                program = [fault_injecting_electronics.__file__]
+                self._electronics = self._start(program, subprocess.PIPE)
+                self.say("status")
+                hurry(ELECTRONICS, self._electronics.pid)  # real ones do not wait for a processor
+            self.daemon = self._start_daemon()
         except BaseException:
             self.close()
             raise
@@ -95,8 +118,14 @@ class Rig:
     def _start(self, program: list[str], pipe: int | None = None) -> subprocess.Popen[bytes]:
         command = [sys.executable, *program, str(self.file)]
         with (self.folder / "errors.log").open("ab") as log:
-            process = started(command, stdin=pipe, stdout=pipe or log, stderr=log)
+            process = started(
+                command, stdin=pipe, stdout=pipe or log, stderr=log, env=self._environment
+            )
             return self._processes.enter_context(process)
+
+    def _start_daemon(self) -> subprocess.Popen[bytes]:
+        self._locks = _locks()
+        return self._start(["-m", "levid.cli.main", "run"])
 
     def close(self) -> None:
         """End every process, also stopped ones."""
@@ -116,6 +145,9 @@ class Rig:
         Raises:
             NotInjectedError: the electronics refuse it.
         """
+        if self._loopback is not None:
+            return self._say_to_loop(self._loopback, line)
+        assert self._electronics is not None
         assert self._electronics.stdin is not None
         assert self._electronics.stdout is not None
         self._electronics.stdin.write(f"{line}\n".encode())
@@ -128,6 +160,14 @@ class Rig:
         if "error" in answer:
             raise NotInjectedError(answer["error"])
         return answer
+
+    def _say_to_loop(self, loop: LoopbackClient, line: str) -> Status:
+        if (answer := loop.say(line)) is not None:
+            return answer
+        if line not in ("status", "clear"):
+            raise NotInjectedError("no cycle began")
+        # Amplifiers of a loop that is dead or stopped: nothing acts.
+        return {"acting_n": [0.0], "forced_periods": loop.forced_periods}
 
     def ask(self, op: str, **more: Any) -> Status:
         """Return the daemon's answer; raises DaemonError."""
@@ -241,7 +281,9 @@ class Rig:
             self.daemon.wait(GIVE_UP_S)
             if not wait_for(self._all_gone):
                 raise RuntimeError(f"the daemon's processes outlive it: {self.pids}")
-            self.daemon = self._start(["-m", "levid.cli.main", "run"])
+            if left := self.left():
+                raise RuntimeError(f"the daemon has left {', '.join(left)}")
+            self.daemon = self._start_daemon()
         if not wait_for(lambda: self.bus != "serial" or (self.folder / "port").exists()):
             raise RuntimeError("the electronics' port did not come back")
         clears = 0
@@ -263,6 +305,14 @@ class Rig:
     def last_words(self) -> str:
         """Return the end of what daemon and electronics have printed."""
         return " | ".join((self.folder / "errors.log").read_text().splitlines()[-_LAST_LINES:])
+
+    def left(self) -> list[str]:
+        """Return processes, locks and shared memory of a daemon that has ended.
+
+        Shared memory of the daemon has no name in a file system: it ends with its processes.
+        """
+        processes = [f"process {pid}" for pid in _pids_with(str(self.file), self._electronics)]
+        return [*processes, *sorted(_locks() - self._locks)]
 
     def _all_gone(self) -> bool:
         return not any(map(_runs, self.pids.values()))
@@ -323,6 +373,8 @@ def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
     plain["limits"] |= {**late, "tilt_rad": 0.004}
     for section, keys in more.items():
         plain[section] |= keys
+    if bus == LOOPBACK:
+        return {**plain, **{role: {"backend": BACKEND} for role in ROLES}}
     if kind == "serial":
         port = {"port": str(folder / "port"), "baud": 3_000_000, "stale_cycles": STALE_CYCLES}
         return {**plain, "serial": {"main": port}}
@@ -338,6 +390,23 @@ def rig_of(bus: str, folder: Path, **more: dict[str, Any]) -> dict[str, Any]:
 def _rests(status: Status) -> bool:
     """Return whether the next flight may begin: a session ends when its last row is on disk."""
     return status["state"] == "IDLE" and status["fault"] == "NONE" and status["session"] is None
+
+
+def _locks() -> set[str]:
+    """Return the locks of buses and named shared memory on this machine."""
+    sockets = Path("/proc/net/unix").read_text().split()
+    locks = {f"lock {name}" for name in sockets if name.startswith("@levid-")}
+    return locks | {f"shared memory {path}" for path in Path("/dev/shm").glob("*levid*")}
+
+
+def _pids_with(argument: str, but: subprocess.Popen[bytes] | None) -> list[int]:
+    """Return the processes that have this argument, and no zombies."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            if argument in path.read_text(errors="replace").split("\0"):
+                found.append(int(path.parent.name))
+    return [pid for pid in found if but is None or pid != but.pid]
 
 
 def _parent(pid: int) -> int | None:

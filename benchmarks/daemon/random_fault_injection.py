@@ -1,15 +1,19 @@
-"""Inject random faults in flight, on CAN FD and serial; check zero force, names and logs.
+"""Inject random faults in flight on CAN FD, serial and loopback; check zero force, names and logs.
 
-The electronics run in their own process. Each fault must end the force and be named correctly;
-afterwards the daemon must be usable and every log must open. Zero force is required within 3 cycles
-if the loop can act, counted from the moment the fault is visible. If the loop is dead or the device
+One half of the trials is flown on an idle machine, the other beside two busy processes for each
+processor; loop and electronics need real-time priority for these. The electronics run in their own
+process; on loopback the simulated rig is in the loop and ends with it. Each fault must end the
+force and be named correctly. Afterwards the daemon must be usable, every log must open, and a
+daemon that has ended must leave no process and no lock. Zero force is required within 3 cycles if
+the loop can act, counted from the moment the fault is visible. If the loop is dead or the device
 does not receive its commands, the device's own timeout counts. Benchmarks beside this one and tests
-check faults that must not end a flight. --quick: 40 faults, otherwise 1,000 in about an hour.
+check faults that must not end a flight. --quick: 42 faults, otherwise 1,002 in two hours.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import random
 import shutil
 import sys
@@ -27,6 +31,7 @@ from levid.benchmarks.daemon.fault_injection_rig import (
     EXPIRE_CYCLES,
     FLYING,
     HOLDING,
+    LOOPBACK,
     RATE_HZ,
     SUPERVISOR_S,
     NotInjectedError,
@@ -36,11 +41,14 @@ from levid.benchmarks.daemon.fault_injection_rig import (
 )
 from levid.benchmarks.harness import benchmark_runner
 from levid.benchmarks.harness.benchmark_runner import Figure, Target
+from levid.benchmarks.harness.start_and_end_processes import busy
 from levid.daemon.control.faults import Fault
 from levid.daemon.control.states import IN_FLIGHT
 from levid.log.errors import LogError
 from levid.log.reader import read_log
 
+_BUSY = {"idle": 0, "starved": 2}
+"""Busy processes for each processor."""
 SOON = 3
 """Cycles with force at most, from the first cycle that the fault affects."""
 LAST_S = 1.0
@@ -91,7 +99,7 @@ class Case:
 CHECKS = {
     "force": f"force for more than {SOON} cycles, or than the device's own timeout",
     "name": "other name in the status or in the flight recording",
-    "rest": "not usable after one clear",
+    "rest": "not usable after one clear, or a process or lock left",
     "logs": "rows missing in flight, or logs that do not open",
     "failed": "trials that did not end",
 }
@@ -99,22 +107,31 @@ CHECKS = {
 
 def measure(quick: bool) -> Iterator[Figure]:
     """Run the trials on both buses; yield their figures, also if they are interrupted."""
-    trials: list[dict[str, str]] = []
-    asked = 20 if quick else 500
+    trials: dict[str, list[dict[str, str]]] = {}
+    asked = 7 if quick else 167
+    conditions = [(load, bus) for load in _BUSY for bus in (*BUSES, LOOPBACK)]
     try:
-        for bus in BUSES:
-            fly_cases(bus, [case_of(bus, k) for k in range(asked)], partial(attempt, trials))
+        for number, (load, bus) in enumerate(conditions):
+            done = trials.setdefault(f"{bus}_{load}", [])
+            cases = [case_of(bus, number * asked + k) for k in range(asked)]
+            with busy(_BUSY[load] * (os.cpu_count() or 1)):
+                fly_cases(bus, cases, partial(attempt, done))
     finally:
-        target = Target(least=len(BUSES) * asked)
-        yield Figure("faults", len(trials), "", "faults injected in flight", target=target)
+        total = [problems for done in trials.values() for problems in done]
+        target = Target(least=len(conditions) * asked)
+        yield Figure("faults", len(total), "", "faults injected in flight", target=target)
         for check, label in CHECKS.items():
-            count = sum(bool(problems.get(check)) for problems in trials)
+            count = sum(bool(problems.get(check)) for problems in total)
             yield Figure(check, count, "", label, target=Target(most=0))
+        for condition, done in trials.items():
+            wrong = sum(any(problems.values()) for problems in done)
+            label = f"{condition.replace('_', ', ')}: of {len(done)} trials, with a problem"
+            yield Figure(condition, wrong, "", label)
 
 
 def case_of(bus: str, number: int) -> Case:
     """Return the trial of this number, the same in every run."""
-    kinds = _EVERYWHERE | (_SERIAL if bus == "serial" else _CAN)
+    kinds = _KINDS[bus]
     pack = sorted(kinds)
     random.Random(f"{bus} pack {number // len(pack)}").shuffle(pack)
     name = pack[number % len(pack)]
@@ -212,39 +229,56 @@ _TILT_SHOWS = 3
 _SILENCE_SHOWS = round(SUPERVISOR_S * RATE_HZ)
 """A stopped process cannot be distinguished from a slow one until then."""
 
-_EVERYWHERE = {
-    **{
-        name: Kind(Fault.STALE, _one(name))
-        for name in ("drop", "delay", "corrupt", "repeat", "reorder")
-    },
-    "drop-setpoints": Kind(Fault.AMPLIFIER, _one("drop-setpoints"), own_timeout=True),
-    "stuck": Kind(Fault.SENSOR, _one("stuck", *range(9))),
-    "frozen": Kind(Fault.SENSOR, _one("frozen", *range(9)), shows=_FROZEN_SHOWS),
-    "saturated": Kind(Fault.SENSOR, _one("saturated", *range(9))),
-    "trip": Kind(Fault.AMPLIFIER, _one("trip", *range(9))),
-    "encoder": Kind(Fault.DRIVE, _one("encoder", "x1", "x2", "phi")),
-    "skew": Kind(Fault.DRIVE, _size("skew", 0.03, 0.1)),
-    "nan-coil": Kind(Fault.READING, _one("nan-coil", *range(9))),
-    # Limits: beam position, beam speed, platform height, tilt.
-    "shift": Kind(Fault.BEAM, _size("shift", 0.15, 0.3)),
-    "race": Kind(Fault.VELOCITY, _size("race", 1.5, 3.0)),
-    "push": Kind(Fault.GAP, _size("push", 40.0, 80.0), shows=_PUSH_SHOWS, states=HOLDING),
-    "tilt": Kind(Fault.POSE, _size("tilt", 0.55, 0.65), shows=_TILT_SHOWS, states=HOLDING),
+_PROCESSES = {
     "loop killed": Kind(Fault.LOOP, own_timeout=True),
     "loop stopped": Kind(Fault.LOOP, own_timeout=True),
     "supervisor killed": Kind(Fault.SUPERVISOR),
     "supervisor stopped": Kind(Fault.SUPERVISOR, shows=_SILENCE_SHOWS),
 }
-# The host detects a lost port at once. A node that leaves a CAN bus is only silent.
-_SERIAL = {
-    "bus-off": Kind(Fault.STALE, _one("bus-off"), own_timeout=True),
-    "disconnect": Kind(Fault.LINK, _one("disconnect"), own_timeout=True),
-    "nan-axis": Kind(Fault.READING, _one("nan-axis", "x1", "x2", "phi")),
+_LIMITS = {
+    # Limits: beam position, beam speed, platform height, tilt.
+    "shift": Kind(Fault.BEAM, _size("shift", 0.15, 0.3)),
+    "race": Kind(Fault.VELOCITY, _size("race", 1.5, 3.0)),
+    "push": Kind(Fault.GAP, _size("push", 40.0, 80.0), shows=_PUSH_SHOWS, states=HOLDING),
+    "tilt": Kind(Fault.POSE, _size("tilt", 0.55, 0.65), shows=_TILT_SHOWS, states=HOLDING),
 }
-_CAN = {
-    # The driver of the host's controller reports this.
-    "bus-off": Kind(Fault.LINK, _one("bus-off"), own_timeout=True),
-    "disconnect": Kind(Fault.STALE, _one("disconnect"), own_timeout=True),
+_EVERYWHERE = {
+    **_PROCESSES,
+    **_LIMITS,
+    "drop": Kind(Fault.STALE, _one("drop")),
+    "stuck": Kind(Fault.SENSOR, _one("stuck", *range(9))),
+    "trip": Kind(Fault.AMPLIFIER, _one("trip", *range(9))),
+    "encoder": Kind(Fault.DRIVE, _one("encoder", "x1", "x2", "phi")),
+    "nan-coil": Kind(Fault.READING, _one("nan-coil", *range(9))),
+}
+_ON_A_BUS = {
+    **_EVERYWHERE,
+    **{name: Kind(Fault.STALE, _one(name)) for name in ("delay", "corrupt", "repeat", "reorder")},
+    "drop-setpoints": Kind(Fault.AMPLIFIER, _one("drop-setpoints"), own_timeout=True),
+    "frozen": Kind(Fault.SENSOR, _one("frozen", *range(9)), shows=_FROZEN_SHOWS),
+    "saturated": Kind(Fault.SENSOR, _one("saturated", *range(9))),
+    "skew": Kind(Fault.DRIVE, _size("skew", 0.03, 0.1)),
+}
+_KINDS = {
+    "canfd": {
+        **_ON_A_BUS,
+        # The driver of the host's controller reports this.
+        "bus-off": Kind(Fault.LINK, _one("bus-off"), own_timeout=True),
+        # A node that leaves a CAN bus is only silent.
+        "disconnect": Kind(Fault.STALE, _one("disconnect"), own_timeout=True),
+    },
+    "serial": {
+        **_ON_A_BUS,
+        # The host detects a lost port at once.
+        "bus-off": Kind(Fault.STALE, _one("bus-off"), own_timeout=True),
+        "disconnect": Kind(Fault.LINK, _one("disconnect"), own_timeout=True),
+        "nan-axis": Kind(Fault.READING, _one("nan-axis", "x1", "x2", "phi")),
+    },
+    LOOPBACK: {
+        **_EVERYWHERE,
+        "disconnect": Kind(Fault.LINK, _one("disconnect")),
+        "nan-axis": Kind(Fault.READING, _one("nan-axis", "x1", "x2", "phi")),
+    },
 }
 
 

@@ -54,16 +54,22 @@ def with_equals(
     """Return the point and the rounds, each accepted effect with those not told from it.
 
     `point` is fitted to convergence. Rivals are those of the round in which it was accepted, and
-    those of `effects` that are equivalent to it beside all others. Where a simpler effect is not
-    told from an accepted one, it takes its place.
+    those of `effects` that are equivalent to it beside all others, and the simpler laws that it
+    contains, which a Stribeck peak of 0 makes it. Where a simpler effect is not told from an
+    accepted one, it takes its place.
     """
     checked, later = list(rounds), equivalents(point, effects, records, options)
     left = gather(point, records.train(point)).excess
     for number, one in enumerate(checked):
         taken = one.taken
-        if taken is None or _placed(point, taken.effect) is None:
+        own = None if taken is None else _placed(point, taken.effect)
+        if taken is None or own is None:
             continue
-        both = (*one.alternatives, *later.get(taken.effect.identity, ()))
+        both = (
+            *one.alternatives,
+            *later.get(taken.effect.identity, ()),
+            *_simpler(own, effects),
+        )
         rivals = {t.effect.identity: t for t in both}
         if not rivals:
             continue
@@ -79,6 +85,15 @@ def with_equals(
             shares=_shares([m.squares for m in equals], options.resamples),
         )
     return point, tuple(checked)
+
+
+def _simpler(placed: Placed, effects: Sequence[Effect]) -> list[Tried]:
+    """Return the laws that an effect contains, with its numbers."""
+    values = dict(zip((q.name for q in placed.effect.amplitudes), placed.amplitudes, strict=True))
+    return [
+        Tried(law, shape, 0.0, np.zeros(1), tuple(values[q.name] for q in law.amplitudes))
+        for law, shape in placed.effect.simpler(placed.shape, effects)
+    ]
 
 
 def _equals(

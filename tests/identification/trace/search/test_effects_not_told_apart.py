@@ -12,6 +12,9 @@ from levid.identification.trace.search import effects_not_told_apart as module
 from levid.identification.trace.search.effects_not_told_apart import Member, not_told_apart
 from levid.identification.trace.search.tested_candidate import HeldError
 from levid.identification.trace.search_options import SearchOptions
+from levid.model.effects.base import Placed, Places
+from levid.model.effects.candidate_effects import all_effects
+from levid.model.effects.operating_range import Extent
 
 OPTIONS = SearchOptions()
 BLOCKS = 60
@@ -84,6 +87,34 @@ def test_richer_law_at_the_same_place_is_no_equal_of_a_simpler_one() -> None:
     gain, zone, other = member("gain", 1, flat), member("zone", 2, flat), member("other", 1, flat)
     assert told(gain, zone, other) == ["gain", "other"]
     assert told(zone, gain) == ["gain"]
+
+
+def places() -> Places:
+    one = np.eye(1)
+    nowhere = np.zeros((0, 2))
+    return Places(
+        ("z",), ("m",), one, one, "N", ("N",), "m", nowhere, nowhere, beam=False, input_names=("f",)
+    )
+
+
+def test_laws_that_an_effect_contains_are_rivals_with_its_numbers() -> None:
+    """A Stribeck peak of 0 is Coulomb friction, wherever the fit of that one would have begun."""
+    table = all_effects(places(), Extent.typical(places()))
+    stribeck = next(e for e in table if e.key == "friction.stribeck")
+    (simple,) = module._simpler(Placed(stribeck, (0.02, 0.1), (3e-3, 0.0)), table)
+    assert simple.effect.key == "friction.coulomb"
+    assert (simple.shape, simple.amplitudes) == (pytest.approx((2e-3,)), (3e-3,))
+
+
+def test_all_laws_have_the_numbers_of_those_that_they_contain() -> None:
+    table = all_effects(places(), Extent.typical(places()))
+    contained = 0
+    for effect in table:
+        amplitudes = (1.0,) * len(effect.amplitudes)
+        tried = module._simpler(Placed(effect, effect.grid[0], amplitudes), table)
+        assert [len(t.shape) for t in tried] == [len(t.effect.shape) for t in tried]
+        contained += len(tried)
+    assert contained > 5
 
 
 def test_equal_fits_share_the_resamples() -> None:

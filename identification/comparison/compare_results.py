@@ -129,11 +129,11 @@ def _notes(a: SavedResult, b: SavedResult) -> Iterator[str]:
 
 def _one_sided(one: SavedResult, other: SavedResult) -> Iterator[OneSided]:
     """Yield what `one` has and `other` has not."""
-    known = {(e.effect, e.where) for e in other.model.effects}
-    for effect in one.model.effects:
-        if (effect.effect, effect.where) not in known:
+    known = other.effects
+    for identity, (name, effect) in one.effects.items():
+        if identity not in known:
             values = {n: _text(p.value, p.se, p.unit) for n, p in effect.parameters.items()}
-            yield OneSided(" ".join((effect.effect, *effect.where)), values)
+            yield OneSided(name, values)
     for name, parameters in one.random_forces.items():
         if name not in other.random_forces:
             yield OneSided(

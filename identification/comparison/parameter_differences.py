@@ -118,12 +118,11 @@ def _of_matrices(a: SavedResult, b: SavedResult) -> Iterator[Difference]:
 
 
 def _of_effects(a: SavedResult, b: SavedResult) -> Iterator[Difference]:
-    others = {(e.effect, e.where): e for e in b.model.effects}
-    for effect in a.model.effects:
-        other = others.get((effect.effect, effect.where))
-        if other is None:
+    others = b.effects
+    for identity, (label, effect) in a.effects.items():
+        if identity not in others:
             continue
-        label = " ".join((effect.effect, *effect.where))
+        _, other = others[identity]
         for name, one in effect.parameters.items():
             if name in other.parameters:
                 two = other.parameters[name]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.base import ConfigError
-from ...config.model import ModelConfig, load_model
+from ...config.model import ModelConfig, ModelEffect, load_model
 from ...log.catalogue.results import RESULT
 
 Array = NDArray[np.float64]
@@ -28,7 +28,8 @@ class SavedResult:
     path: as given. free: the parameters with a standard error, covariance (F, F) theirs in SI
     units. correlated: whether the covariance has correlations; without result.json it is diagonal.
     command: identify or trace, empty if not known. logs: paths of the logs that it was fitted to.
-    random_forces: found by trace, which are not in the model: name and parameters.
+    random_forces: found by trace, which are not in the model: name and parameters. names: those of
+    the model's effects, by place in the file.
     """
 
     path: Path
@@ -39,11 +40,19 @@ class SavedResult:
     command: str = ""
     logs: tuple[str, ...] = ()
     random_forces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
 
     @property
     def standard_errors(self) -> dict[str, float]:
         """Standard errors by parameter, in SI units."""
         return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def effects(self) -> dict[tuple[str, tuple[str, ...]], tuple[str, ModelEffect]]:
+        """Effects of the model with their names, by key and location."""
+        names = self.names or tuple(map(_key_and_place, self.model.effects))
+        effects = self.model.effects
+        return {(e.effect, e.where): (name, e) for name, e in zip(names, effects, strict=True)}
 
 
 def load_result(path: Path | str) -> SavedResult:
@@ -81,6 +90,7 @@ def load_result(path: Path | str) -> SavedResult:
         str(beside.get("command", "")),
         tuple(map(str, logs)) if isinstance(logs, list) else (),
         _random_forces(beside),
+        _effect_names(beside, model),
     )
 
 
@@ -115,7 +125,7 @@ def _covariance(
     found: Mapping[str, Any], model: ModelConfig
 ) -> tuple[tuple[str, ...], Array] | None:
     """Return parameters and their covariance in result.json, None if it has none."""
-    stated = (found.get("grey_box") or {}).get("covariance")
+    stated = found.get("covariance") or (found.get("grey_box") or {}).get("covariance")
     if not isinstance(stated, dict):
         return None
     try:
@@ -126,6 +136,29 @@ def _covariance(
     if matrix.shape != (len(free), len(free)) or not set(free) <= set(model.parameters):
         return None
     return (free, matrix) if np.isfinite(matrix).all() else None
+
+
+def _effect_names(found: Mapping[str, Any], model: ModelConfig) -> tuple[str, ...]:
+    """Return the names that trace gave the effects; those of other files: key and location."""
+    stated = {
+        (tuple(effect.get("where", ())), _values(effect.get("parameters", {}))): effect["name"]
+        for effect in found.get("effects") or []
+        if effect.get("class") != "vibration"
+    }
+    return tuple(
+        stated.get(
+            (e.where, frozenset((n, p.value) for n, p in e.parameters.items())), _key_and_place(e)
+        )
+        for e in model.effects
+    )
+
+
+def _values(parameters: Mapping[str, Any]) -> frozenset[tuple[str, float]]:
+    return frozenset((name, value["value"]) for name, value in parameters.items())
+
+
+def _key_and_place(effect: ModelEffect) -> str:
+    return " ".join((effect.effect, *effect.where))
 
 
 def _random_forces(found: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:

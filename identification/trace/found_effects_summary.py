@@ -15,6 +15,7 @@ from ...model.effects.base import Effect, Placed, Places, located
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
 from ..json_data import plain_json
+from .parameter_covariance import parameter_covariance
 from .residual.free_run_error import (
     RecordError,
     percent_of_pose,
@@ -389,6 +390,7 @@ def summary(trace: Trace) -> dict[str, Any]:
                 "given_up": list(found.gone),
                 "unsettled_records": list(found.unsettled),
             },
+            "covariance": covariance_after(trace),
         }
     )
     return plain
@@ -440,6 +442,12 @@ def model_after(trace: Trace) -> ModelConfig:
     return config.model_copy(
         update={"parameters": parameters, "effects": tuple(model_effect(p) for p in point.placed)}
     )
+
+
+def covariance_after(trace: Trace) -> dict[str, Any]:
+    """Return the covariance of the parameters of `model_after`: see parameter_covariance."""
+    names = list(trace.found.point.parameters.names)
+    return parameter_covariance(model_after(trace), names, trace.found.correlations)
 
 
 def model_effect(placed: Placed) -> ModelEffect:

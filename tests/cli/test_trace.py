@@ -11,6 +11,7 @@ import yaml
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
+from levid.identification.comparison.saved_result import load_result
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace.subtract_declared_effects import experiment_of
@@ -64,6 +65,11 @@ def test_trace_at_the_end_of_a_session_finds_the_effect(flown: Path) -> None:
     assert k3.se is not None
     # Four standard errors: a correct fit exceeds them once in 16 000.
     assert abs(k3.value - K3_N_M3) < 4 * k3.se
+    covariance = json.loads((flown / "trace" / "result.json").read_text())["covariance"]
+    errors = [model.parameters[name].se for name in covariance["parameters"]]
+    assert len(errors) == sum(p.se is not None for p in model.parameters.values())
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance["matrix"])), errors)
+    assert load_result(flown / "trace").correlated
 
     page = (flown / "trace" / "index.html").read_text()
     assert page.lower().startswith("<!doctype html>")

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..parameter_covariance import correlations_of
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
@@ -26,6 +27,7 @@ class Certainty:
 
     found: Searched
     errors: Array
+    correlations: Array
     force_errors: list[Array]
     form: Array
     left_share: tuple[float, ...]
@@ -59,6 +61,7 @@ class Certainty:
         return cls(
             found,
             uncertainty.standard_errors(),
+            correlations_of(uncertainty.covariance),
             relative_force_errors(found.point, fitted, uncertainty),
             form,
             _left_share(found, training, least, options),

@@ -14,6 +14,7 @@ from ....config.model import EffectParameter, ModelConfig, ModelEffect
 from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from ...json_data import plain_json
+from ..parameter_covariance import parameter_covariance
 from .rated_candidate import Rated
 from .reported_errors import PooledError
 from .trace_imported import ForceTrace, pooled_errors
@@ -302,6 +303,11 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
                 "unsettled_records": [e.record for e in trace.after if not e.settled],
             },
             "band_hz": [0.0, trace.limit_hz],
+            "covariance": parameter_covariance(
+                model_with_effects(trace),
+                list(trace.found.point.parameters.names),
+                trace.correlations,
+            ),
         }
     )
     return plain

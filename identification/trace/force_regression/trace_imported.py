@@ -59,14 +59,14 @@ class ForceTrace:
     """The result of a trace of imported records.
 
     declared: the refitted model without new effects; found: the search's result; errors: standard
-    errors of its numbers; force_errors: relative ones of the forces of each effect's amplitudes, in
-    the point's order. before, after: errors on the reported rows. free_form (n,): what a free
-    form of all signals leaves of the acting force in the fitted rows, in per cent, nan where all
-    terms of an equation are free. left_share: for each effect found, the share of the squared
-    missing force without it that is left with it, of what such a form explains. curves: free
-    forms of a law's signal that surely improve on it, by the law's identity. noise_sd (n,): of
-    each output; noise_stated: whether the signals files state it. fitted, reported: the records
-    below the band's limit `limit_hz`.
+    errors of its numbers, correlations (K, K) theirs; force_errors: relative ones of the forces of
+    each effect's amplitudes, in the point's order. before, after: errors on the reported rows.
+    free_form (n,): what a free form of all signals leaves of the acting force in the fitted rows,
+    in per cent, nan where all terms of an equation are free. left_share: for each effect found, the
+    share of the squared missing force without it that is left with it, of what such a form
+    explains. curves: free forms of a law's signal that surely improve on it, by the law's identity.
+    noise_sd (n,): of each output; noise_stated: whether the signals files state it. fitted,
+    reported: the records below the band's limit `limit_hz`.
     """
 
     config: ModelConfig
@@ -74,6 +74,7 @@ class ForceTrace:
     declared: ForceModel
     found: Searched
     errors: Array
+    correlations: Array
     force_errors: Sequence[Array]
     before: tuple[ReportedError, ...]
     after: tuple[ReportedError, ...]
@@ -206,8 +207,8 @@ def _traced(
         for point in (declared, found.point)
     )
     return ForceTrace(
-        config, places, declared, found, last.errors, last.force_errors, before, after,
-        100.0 * last.form, last.left_share, curves, sd, noise is not None, limit_hz, fitted,
+        config, places, declared, found, last.errors, last.correlations, last.force_errors, before,
+        after, 100.0 * last.form, last.left_share, curves, sd, noise is not None, limit_hz, fitted,
         reported,
         (*notes, *held, *table.notes), options,
     )  # fmt: skip

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
+from ..parameter_covariance import correlations_of
 from ..search_options import SearchOptions
 from .backward_elimination import without_guesses, without_idle
 from .effects_not_told_apart import supports, with_equals
@@ -18,7 +19,7 @@ from .forward_selection import Grown, Progress, grown
 from .gauss_newton import FULLY, gather, refine
 from .hold_amplitudes_at_one import free_numbers, with_plain_amplitudes
 from .predictive_criterion import is_worse
-from .regression import ColumnEvidence, standard_errors
+from .regression import ColumnEvidence, covariance, standard_errors
 from .replace_effect_by_rival import otherwise
 from .tested_candidate import Records, Round
 
@@ -30,12 +31,14 @@ class Found:
     """The final working point, the rounds, and the residuals of training and held-out records.
 
     errors: standard errors of [the model's parameters over scale, amplitudes and shapes]; nan of
-    what is held. supports: by identity, share of resamples of the blocks that choose an effect.
+    what is held. correlations: theirs, 0 of what is held. supports: by identity, share of resamples
+    of the blocks that choose an effect.
     """
 
     point: WorkingPoint
     rounds: tuple[Round, ...]
     errors: Array
+    correlations: Array
     train: ColumnEvidence
     held: ColumnEvidence
     supports: Mapping[str, float] = field(default_factory=dict)
@@ -103,8 +106,13 @@ def _settled(
     free = free_numbers(point)
     errors = np.full(len(free), np.nan)
     errors[free] = standard_errors(train, np.flatnonzero(free))
+    correlations = np.eye(len(free))
+    correlations[np.ix_(free, free)] = correlations_of(
+        covariance(train.whole, np.flatnonzero(free))
+    )
     chosen = supports(point, train, options)
-    return Found(_with_errors(point, errors), rounds, errors, train, held, supports=chosen)
+    point = _with_errors(point, errors)
+    return Found(point, rounds, errors, correlations, train, held, supports=chosen)
 
 
 def _with_errors(point: WorkingPoint, errors: Array) -> WorkingPoint:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scipy.stats import norm
 
 from levid.config.base import ConfigError, parse_text
@@ -134,6 +135,21 @@ def test_effects_of_one_result_alone_and_of_both(tmp_path: Path) -> None:
     assert found.only_a == ()
     assert "only B has: rod_stiffness.cubic z" in found.verdict
     json.dumps(comparison_summary(found), allow_nan=False)
+
+
+def test_effects_have_the_names_that_trace_gave_them(tmp_path: Path) -> None:
+    gain = {"value": -0.02, "se": 0.001, "unit": "1"}
+    effect = {"effect": "coil_gain", "where": ["coil:6"], "parameters": {"gain": gain}}
+    for side, effects in (("a", []), ("b", [effect])):
+        folder = tmp_path / side
+        folder.mkdir()
+        model = yaml.safe_load(shipped("models/rig.yaml").read_text()) | {"effects": effects}
+        (folder / "model.yaml").write_text(yaml.safe_dump(model))
+        stated = [{**e, "name": "Gain of a coil at coil:6", "class": "coil"} for e in effects]
+        result = {"command": "trace", "effects": stated}
+        (folder / "result.json").write_text(json.dumps(result))
+    found = compare(*(load_result(tmp_path / side) for side in ("a", "b")))
+    assert [e.name for e in found.only_b] == ["Gain of a coil at coil:6"]
 
 
 def saved(folder: Path, found: SavedResult, **more: object) -> Path:

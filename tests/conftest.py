@@ -71,6 +71,7 @@ _LONG = (
     "identification/trace/force_regression/test_loops_under_random_forces",
     "identification/trace/force_regression/test_point_to_point_moves",
     "identification/trace/test_worker_pool",
+    "report/browser/test_pages_of_a_flight",
 )
 """Tests that take minutes, or trace one plant after another: `make test-long`, `.ci/run`."""
 

@@ -1,0 +1,38 @@
+"""Pictures of what people see, made by tests and kept in build/screenshots: look at them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from headless_browser import Page
+from repository_folders import ROOT
+from rich.ansi import AnsiDecoder
+from rich.console import Console
+
+PICTURES = ROOT / "build" / "screenshots"
+DESKTOP, PHONE = (1400, 1000), (390, 844)
+"""Width and height in pixels."""
+
+
+def page_pictures(page: Page, name: str) -> None:
+    """Save the page that is open at the width of a desktop and of a phone."""
+    for width, height in (DESKTOP, PHONE):
+        page.resize(width, height)
+        page.wait_for("new Promise(done => requestAnimationFrame(() => done(true)))")
+        page.screenshot(_path(f"{name}-{width}.png"))
+    page.resize()
+
+
+def terminal_picture(screen: Any, name: str, width: int) -> None:
+    """Save the screen of a terminal with its colours, as SVG."""
+    with Path("/dev/null").open("w") as nowhere:
+        console = Console(record=True, width=width, file=nowhere, force_terminal=True)
+        for line in AnsiDecoder().decode(screen.escapes):
+            console.print(line, overflow="crop", no_wrap=True)
+    console.save_svg(str(_path(f"{name}.svg")), title=name)
+
+
+def _path(name: str) -> Path:
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    return PICTURES / name

@@ -19,11 +19,15 @@ _NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _ANSWER_S = 60.0
 
 
+def find_browser() -> str | None:
+    """Return the path of a Chromium, None where there is none."""
+    return next(filter(None, map(shutil.which, _NAMES)), None)
+
+
 def browser_path() -> str:
     """Return the path of a Chromium; skip the test where there is none."""
-    for name in _NAMES:
-        if found := shutil.which(name):
-            return found
+    if (found := find_browser()) is not None:
+        return found
     pytest.skip(f"no browser: expected one of {', '.join(_NAMES)} in PATH")
 
 

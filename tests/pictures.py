@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from headless_browser import Page
 from repository_folders import ROOT
 from rich.ansi import AnsiDecoder
 from rich.console import Console
+from tmux_terminal import Terminal
 
 PICTURES = ROOT / "build" / "screenshots"
 DESKTOP, PHONE = (1400, 1000), (390, 844)
@@ -20,19 +20,20 @@ def page_pictures(page: Page, name: str) -> None:
     for width, height in (DESKTOP, PHONE):
         page.resize(width, height)
         page.wait_for("new Promise(done => requestAnimationFrame(() => done(true)))")
-        page.screenshot(_path(f"{name}-{width}.png"))
+        page.screenshot(picture(f"{name}-{width}.png"))
     page.resize()
 
 
-def terminal_picture(screen: Any, name: str, width: int) -> None:
+def terminal_picture(screen: Terminal, name: str, width: int) -> None:
     """Save the screen of a terminal with its colours, as SVG."""
     with Path("/dev/null").open("w") as nowhere:
         console = Console(record=True, width=width, file=nowhere, force_terminal=True)
         for line in AnsiDecoder().decode(screen.escapes):
             console.print(line, overflow="crop", no_wrap=True)
-    console.save_svg(str(_path(f"{name}.svg")), title=name)
+    console.save_svg(str(picture(f"{name}.svg")), title=name)
 
 
-def _path(name: str) -> Path:
+def picture(name: str) -> Path:
+    """Return the file of a picture, in its folder."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     return PICTURES / name

@@ -1,12 +1,14 @@
-"""Draw signals of a log over time, or their spectra, in the style of the reports."""
+"""Draw signals of logs over time, or their spectra, in the style of the reports."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -29,7 +31,7 @@ from .signal_data import Signal, SignalOverTime, SignalSpectrum
 
 FORMATS = (".svg", ".png", ".pdf")
 _ROW_IN = 1.5
-_MOST_PANELS, _MOST_LINES = 24, 4
+_MOST_PANELS, _MOST_LINES, _MOST_LOGS = 24, 4, 12
 _DPI = 150
 _DECADES_MOST = 8.0
 _T = TypeVar("_T")
@@ -43,9 +45,45 @@ def time_figure(signals: Sequence[SignalOverTime], *, sheet: Sheet = PAGE) -> Fi
     Raises:
         LogError: there are too many panels.
     """
-    panels = _panels(signals, lambda s: s.signal)
+    return _over_time(_panels(signals, lambda s: s.signal), (), "time [s]", sheet)
+
+
+def time_figure_of_logs(
+    logs: Mapping[str, Sequence[SignalOverTime]], *, sheet: Sheet = PAGE
+) -> Figure:
+    """Draw the same signals of several logs, by name, each over the time since it began.
+
+    Each signal has a panel with a line for each log.
+
+    Raises:
+        LogError: there are too many panels or logs.
+    """
+    begun = {name: _since_begin(signals) for name, signals in logs.items()}
+    panels = _panels_of_logs(begun)
+    return _over_time(panels, list(logs), "time since the log began [s]", sheet)
+
+
+def spectrum_figure(spectra: Sequence[SignalSpectrum], *, sheet: Sheet = PAGE) -> Figure:
+    """Draw amplitude spectral densities, in unit/√Hz; raises LogError for too many panels."""
+    return _spectra(_panels(spectra, lambda s: s.signal), (), sheet)
+
+
+def spectrum_figure_of_logs(
+    logs: Mapping[str, Sequence[SignalSpectrum]], *, sheet: Sheet = PAGE
+) -> Figure:
+    """Draw the densities of the same signals of several logs, by name, in a panel for each signal.
+
+    Raises:
+        LogError: there are too many panels or logs.
+    """
+    return _spectra(_panels_of_logs(logs), list(logs), sheet)
+
+
+def _over_time(
+    panels: Sequence[Sequence[SignalOverTime]], logs: Sequence[str], axis: str, sheet: Sheet
+) -> Figure:
     with drawing(sheet):
-        grid = new_grid((len(panels), 1), sheet, _ROW_IN)
+        grid = new_grid((len(panels), 1), sheet, _ROW_IN, _legend(logs))
         for panel, ax in zip(panels, grid.axes[:, 0], strict=True):
             largest = max(_largest(s.values.low, s.values.high) for s in panel)
             factor, prefix = engineering(largest, panel[0].signal.unit)
@@ -54,20 +92,21 @@ def time_figure(signals: Sequence[SignalOverTime], *, sheet: Sheet = PAGE) -> Fi
             order = sorted(range(len(panel)), key=lambda k: -_extent(panel[k]))
             for k in order:
                 plot_envelope(ax, panel[k].values, lines[k], factor)
-            _label(ax, [s.signal for s in panel], lines, _unit(prefix, panel[0].signal.unit))
+            shown = [s.signal for s in panel[: 1 if logs else None]]
+            _label(ax, shown, lines, _unit(prefix, panel[0].signal.unit))
             ax.tick_params(labelbottom=panel is panels[-1], length=2.5)
-        grid.axes[-1, 0].set_xlabel("time [s]")
-        times = [t for s in signals for t in (s.values.t[:1], s.values.t[-1:])]
+        grid.axes[-1, 0].set_xlabel(axis)
+        times = [t for p in panels for s in p for t in (s.values.t[:1], s.values.t[-1:])]
         low, high = np.concatenate(times).min(), np.concatenate(times).max()
         grid.axes[-1, 0].set_xlim(low, max(high, low + 1e-9))
     return grid.figure
 
 
-def spectrum_figure(spectra: Sequence[SignalSpectrum], *, sheet: Sheet = PAGE) -> Figure:
-    """Draw amplitude spectral densities, in unit/√Hz; raises LogError for too many panels."""
-    panels = _panels(spectra, lambda s: s.signal)
+def _spectra(
+    panels: Sequence[Sequence[SignalSpectrum]], logs: Sequence[str], sheet: Sheet
+) -> Figure:
     with drawing(sheet):
-        grid = new_grid((len(panels), 1), sheet, 1.2 * _ROW_IN)
+        grid = new_grid((len(panels), 1), sheet, 1.2 * _ROW_IN, _legend(logs))
         for panel, ax in zip(panels, grid.axes[:, 0], strict=True):
             lines = [line_of(k) for k in range(len(panel))]
             values = np.concatenate([s.density for s in panel])
@@ -76,12 +115,14 @@ def spectrum_figure(spectra: Sequence[SignalSpectrum], *, sheet: Sheet = PAGE) -
                 top = values.max() * 2
                 bottom = max(float(np.percentile(values, 0.5)) / 2, top / 10**_DECADES_MOST)
                 log_ticks(ax, "y", (bottom, top))
-            frequency_axis(ax, (float(panel[0].freq_hz[0]), float(panel[0].freq_hz[-1])))
+            ends = [(float(s.freq_hz[0]), float(s.freq_hz[-1])) for s in panel]
+            frequency_axis(ax, (min(e[0] for e in ends), max(e[1] for e in ends)))
             for s, line in zip(panel, lines, strict=True):
                 ax.plot(s.freq_hz, np.where(s.density > 0, s.density, np.nan), **line.keywords())
             unit = panel[0].signal.unit
             unit = "" if unit in ("", "1") else f"({unit})" if " " in unit or "/" in unit else unit
-            _label(ax, [s.signal for s in panel], lines, f"{unit or '1'}/√Hz")
+            shown = [s.signal for s in panel[: 1 if logs else None]]
+            _label(ax, shown, lines, f"{unit or '1'}/√Hz")
             ax.tick_params(labelbottom=panel is panels[-1], length=2.5)
         grid.axes[-1, 0].set_xlabel("frequency [Hz]")
     return grid.figure
@@ -134,11 +175,33 @@ def _panels(items: Sequence[_T], signal_of: Callable[[_T], Signal]) -> list[list
                 panels[-1].append(item)
                 continue
         panels.append([item])
+    return _few(panels)
+
+
+def _panels_of_logs(logs: Mapping[str, Sequence[_T]]) -> list[list[_T]]:
+    """Group the signals of logs, which are the same, by signal."""
+    if len(logs) > _MOST_LOGS:
+        raise LogError(f"expected at most {_MOST_LOGS} logs in a figure, found {len(logs)}")
+    return _few([list(same) for same in zip(*logs.values(), strict=True)])
+
+
+def _few(panels: list[list[_T]]) -> list[list[_T]]:
     if len(panels) > _MOST_PANELS:
         raise LogError(
             f"expected signals for at most {_MOST_PANELS} panels, found {len(panels)}: name fewer"
         )
     return panels
+
+
+def _since_begin(signals: Sequence[SignalOverTime]) -> list[SignalOverTime]:
+    begin_s = min((float(s.values.t[0]) for s in signals if len(s.values.t)), default=0.0)
+    return [
+        replace(s, values=replace(s.values, t=s.values.t - begin_s, samples=())) for s in signals
+    ]
+
+
+def _legend(logs: Sequence[str]) -> list[Artist]:
+    return [entry(name, line_of(k)) for k, name in enumerate(logs)]
 
 
 def _label(ax: Axes, signals: Sequence[Signal], lines: Sequence[LineStyle], unit: str) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from daemon_process import Daemon, calm, daemon
+from pictures import terminal_picture
 from tmux_terminal import WAIT_S, terminal
 from waiting import wait_until
 
@@ -75,6 +76,7 @@ def test_the_screen_shows_the_status_and_its_keys_land_stop_and_clear(
         text, status = screen.text, flying.ask("status")
         assert f"±{1e6 * status['gaps']['limit']:g}" in text
         assert len(text.splitlines()[-1].strip()) > 0
+        terminal_picture(screen, "watch-80x24", 80)
         screen.press("l")
         screen.until("Land now?")
         assert flying.ask("status")["state"] == "LEVITATING"
@@ -98,6 +100,7 @@ def test_the_screen_shows_the_status_and_its_keys_land_stop_and_clear(
         screen.resize(160, 50)
         text = screen.until("um, last")
         assert sum(0x2800 < ord(character) <= 0x28FF for character in text) > 10  # a chart
+        terminal_picture(screen, "watch-160x50", 160)
         screen.resize(60, 20)
         screen.until("largest gap")
         screen.press("c")

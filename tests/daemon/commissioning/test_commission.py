@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from headless_browser import browser, find_browser
+from pictures import page_pictures
 
 from levid.benchmarks.daemon.commissioned_rigs import (
     CHANNELS,
@@ -209,6 +211,10 @@ def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
     page = Path(found["report"]).read_text()
     assert "This rig can fly after 11 corrections." in page
     assert "coil channel 8 is at the place of 7 in RIG.yaml" in page
+    if find_browser() is not None:
+        with browser(tmp_path / "profile") as window:
+            window.open(Path(found["report"]).as_uri())
+            page_pictures(window, "commissioning")
     assert levid("check", new, tmp_path / "new-first-lift.yaml").code == 0
     again = levid("commission", new, "--out", tmp_path / "again.yaml")
     assert "all channels are as RIG.yaml says" in again.out

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from headless_browser import Page, browser
 from live_view import LiveView, live_view
+from pictures import picture
 
 EVIL = "https://evil.example"
 MOTIONS = ("levitate", "land", "clear", "move")
@@ -137,7 +137,7 @@ def test_page_shows_the_flight(levitating: LiveView, page: Page) -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1400, 1000), (390, 844)])
-def test_page_fits_its_window(page: Page, width: int, height: int, tmp_path: Path) -> None:
+def test_page_fits_its_window(page: Page, width: int, height: int) -> None:
     page.resize(width, height)
     for dark in (False, True):
         page.medium(dark=dark)
@@ -149,7 +149,7 @@ def test_page_fits_its_window(page: Page, width: int, height: int, tmp_path: Pat
         assert 0 <= box[0] < box[1] <= width
         assert 0 <= box[2] < box[3] <= height
         assert box[4] >= 44  # what a thumb hits
-        page.screenshot(tmp_path / f"{width}-{dark}.png")
+        page.screenshot(picture(f"live-{width}-{'dark' if dark else 'light'}.png"))
     page.resize()
 
 

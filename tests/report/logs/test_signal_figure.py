@@ -75,6 +75,39 @@ def test_figures_are_written_where_the_command_says(
         assert path.read_bytes().startswith(head)
 
 
+@pytest.mark.usefixtures("no_warnings")
+@pytest.mark.parametrize("spectrum", [False, True])
+def test_several_logs_share_panels_from_their_begin(
+    log: Path, tmp_path: Path, levid: Callable[..., Any], spectrum: bool
+) -> None:
+    other = tmp_path / "other" / "made.mcap"
+    other.parent.mkdir()
+    other.write_bytes(log.read_bytes())
+    more = ("--spectrum",) if spectrum else ("--begin-s", "10", "--end-s", "20")
+    code, out, err = levid("plot", log, other, "noise_m", "gap_m_1", *more)
+    assert code == 0, err
+    file = log.with_name(f"made-compared{'-spectrum' if spectrum else ''}.svg")
+    assert out.strip() == str(file)
+    text = file.read_text()
+    assert "other/made" in text  # the legend tells logs of one name apart by their folder
+    assert f"{tmp_path.name}/made" in text
+    assert "time since the log began [s]" in text or spectrum
+
+
+def test_a_log_twice_or_without_the_signal_is_an_error(
+    log: Path, tmp_path: Path, levid: Callable[..., Any]
+) -> None:
+    code, _, err = levid("plot", log, log, "noise_m")
+    assert code == 2
+    assert "found one twice" in err
+    other = tmp_path / "other.mcap"
+    other.write_bytes(log.read_bytes())
+    assert levid("plot", log, other).code == 0
+    code, _, err = levid("plot", log, other, "pose")
+    assert code == 1
+    assert "pose" in err
+
+
 def test_wrong_names_and_ranges_are_errors(
     log: Path, tmp_path: Path, levid: Callable[..., Any]
 ) -> None:

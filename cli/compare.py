@@ -83,6 +83,7 @@ def _schedule(texts: tuple[str, ...], known: set[str]) -> dict[str, float]:
 
 def words(found: Comparison) -> list[str]:
     """Return the comparison as lines of text, the answer first; +- is a 95 % interval."""
+    from ..identification.comparison.parameter_differences import chance_text
     from ..report.comparison.comparison_page import name_of, value_cells
 
     lines = [found.verdict, f"A: {found.a.path}", f"B: {found.b.path}"]
@@ -95,7 +96,7 @@ def words(found: Comparison) -> list[str]:
                 name_of(d),
                 *cells,
                 "" if d.in_errors is None else f"{d.in_errors:+.1f}",
-                "" if d.p_value is None else f"{d.p_value:.2g}",
+                "" if d.p_value is None else chance_text(d.p_value),
                 "differs" if d.significant else "",
             )
         )
@@ -119,6 +120,8 @@ def words(found: Comparison) -> list[str]:
 
 
 def _response_lines(response: ResponseComparison) -> list[str]:
+    from ..identification.comparison.parameter_differences import chance_text
+
     at = ", ".join(f"{name} = {value:g}" for name, value in response.schedule.items())
     low, high = response.freq_hz[0], response.freq_hz[-1]
     lines = [f"largest deviation of B from A, {low:.3g} to {high:.3g} Hz{f', {at}' if at else ''}:"]
@@ -128,7 +131,7 @@ def _response_lines(response: ResponseComparison) -> list[str]:
             f"{p.decibel:+.2g} dB at {p.decibel_at_hz:.3g} Hz",
             f"{p.degree:+.2g} deg at {p.degree_at_hz:.3g} Hz",
             f"{p.in_errors:.1f} at {p.in_errors_at_hz:.3g} Hz",
-            f"{p.p_value:.2g}",
+            chance_text(p.p_value),
         )
         if p.determined
         else (f"{p.input} to {p.output}", "not determined", "", "", "")

@@ -69,7 +69,8 @@ def remarks(found: Commissioned, rig: RigConfig) -> list[str]:
     beam = found.beam
     return [
         *(
-            f"sensor {i} rests at the end of its range: its place and scale are from the way"
+            f"sensor {i} rests at the end of its range: its place and scale were found from the "
+            "readings within it"
             for i in _at(found.resting.clipped & ~found.sensors.dead)
         ),
         *(

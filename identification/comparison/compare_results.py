@@ -73,7 +73,14 @@ class Comparison:
         for side, found in (("A", self.only_a), ("B", self.only_b)):
             if found:
                 parts.append(f"only {side} has: {', '.join(e.name for e in found)}")
+        if self.shared_logs:
+            parts[0] = f"by errors that are not independent (logs in common), {parts[0]}"
         return "; ".join(parts)
+
+    @property
+    def shared_logs(self) -> int:
+        """Number of logs that both results use."""
+        return len(set(self.a.logs) & set(self.b.logs))
 
 
 def compare(
@@ -101,11 +108,12 @@ def compare(
 
 
 def _notes(a: SavedResult, b: SavedResult) -> Iterator[str]:
-    shared = set(a.logs) & set(b.logs)
+    shared = len(set(a.logs) & set(b.logs))
     if shared:
         yield (
-            f"both results use {len(shared)} log{'s' * (len(shared) > 1)} in common: their errors "
-            "are not independent, and the tests do not hold"
+            f"both results use {shared} log{'s' * (shared > 1)} in common: their errors are not "
+            "independent, so that the tests only say how far the two are apart, not whether the "
+            "plant has changed; compare results of different logs for that"
         )
     for side, r in (("A", a), ("B", b)):
         if r.free and not r.correlated:
@@ -124,7 +132,7 @@ def _notes(a: SavedResult, b: SavedResult) -> Iterator[str]:
     if a.model.input != b.model.input:
         yield f"the models take different inputs between samples: {a.model.input}, {b.model.input}"
     if a.model.effects or b.model.effects:
-        yield "the responses are those of the matrices, without the effects of the models"
+        yield "the responses are those of the linear models, without their effects"
 
 
 def _one_sided(one: SavedResult, other: SavedResult) -> Iterator[OneSided]:

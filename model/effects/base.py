@@ -346,11 +346,13 @@ class Placed:
 
 
 def in_words(where: Sequence[str]) -> str:
-    """Return locations in words; more than two consecutive ones as 'coil:0 to coil:8'."""
+    """Return locations in words: 'coil 6'; more than two consecutive ones as 'coils 0 to 8'."""
     words: list[str] = []
     for _, row in groupby(enumerate(where), key=_in_row):
-        names = [name for _, name in row]
-        words += [f"{names[0]} to {names[-1]}"] if len(names) > 2 else names
+        names = [name.replace(":", " ") for _, name in row]
+        kind, _, first = names[0].rpartition(" ")
+        last = names[-1].rpartition(" ")[2]
+        words += [f"{kind}s {first} to {last}"] if len(names) > 2 else names
     return ", ".join(words)
 
 

@@ -50,26 +50,35 @@ def _result(
     if wrong:
         lead = f"{_count(len(wrong), 'channel')} must be repaired before this rig can fly."
     elif corrected:
-        lead = f"This rig can fly after {_count(len(corrected), 'correction')}."
+        copy = "a copy of RIG.yaml" if written is None else f"{written.name}, a copy of RIG.yaml"
+        lead = (
+            f"This rig can fly with {copy} with {_count(len(corrected), 'correction')}. Nothing "
+            "has to be rewired."
+        )
     else:
         lead = "All channels are as RIG.yaml says."
     parts: list[Text | Figures | Table | Steps] = [
         Text(lead, "lead"),
         Figures(
             (
-                Number(str(len(wrong)), "problems", "bad" if wrong else "good"),
-                Number(str(len(corrected)), "corrections"),
-                Number(f"{found.largest_n:.3g} N", "largest force of a coil"),
+                Number(str(len(wrong)), "channels to repair", "bad" if wrong else "good"),
+                Number(str(len(corrected)), "corrections in the copy of RIG.yaml"),
+                Number(f"{found.largest_n:.3g} N", "largest force that a coil was asked for"),
                 Number(
                     f"{found.delay_cycles} cycles" if found.delay_cycles >= 0 else "unknown",
-                    "from a command to its measured force",
+                    "delay from a command to its measured force",
                 ),
                 Number(
                     f"{1e3 * late.mean_s:.3g} ± {2e3 * late.sd_s:.1g} ms",
-                    "from a command to the heights",
+                    "delay from a command to the heights",
                 ),
                 *(
-                    [Number(_ms(found.beam_delay.mean_s), "from the beam's setpoint to its place")]
+                    [
+                        Number(
+                            _ms(found.beam_delay.mean_s),
+                            "delay from the beam's setpoint to its place",
+                        )
+                    ]
                     if found.beam_delay is not None
                     else []
                 ),
@@ -83,7 +92,7 @@ def _result(
         *(("remark", line) for line in remarks(found, rig)),
     )
     if rows:
-        parts.append(Table("What differs from RIG.yaml", ("", "finding"), rows, labels=2))
+        parts.append(Table("What differs from RIG.yaml", ("state", "finding"), rows, labels=2))
     if written is not None:
         copy = shlex.quote(str(written))
         first = shlex.quote(str(written.with_stem(f"{written.stem}-first-lift")))

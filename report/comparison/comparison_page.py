@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...identification.comparison.compare_results import Comparison, OneSided
-from ...identification.comparison.parameter_differences import Difference
+from ...identification.comparison.parameter_differences import Difference, chance_text
 from ...identification.comparison.response_differences import (
     ModelResponse,
     PathDeviation,
@@ -52,9 +52,8 @@ def _answer(found: Comparison) -> list[Part]:
     ]
     if found.whole is not None:
         p = found.whole[2]
-        text = f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
         numbers.append(
-            Number(text, "probability that chance alone makes the models differ as much")
+            Number(chance_text(p), "probability that chance alone makes the models differ as much")
         )
     paths = _main_paths(found)
     if paths:
@@ -81,12 +80,13 @@ def _parameters(found: Comparison) -> list[Part]:
             f"{name_of(d)} [{unit}]" if unit else name_of(d),
             *values,
             "" if d.in_errors is None else f"{d.in_errors:+.1f}".replace("-", "−"),
-            "" if d.p_value is None else f"{d.p_value:.2g}{' differs' if d.significant else ''}",
+            "" if d.p_value is None else chance_text(d.p_value),
+            "" if d.p_value is None else "yes" if d.significant else "no",
         )
         for d in order
         for *values, unit in (value_cells(d),)
     )
-    head = ("parameter", "A", "B", "B − A", "std. errors", "p (Holm)")
+    head = ("parameter", "A", "B", "B − A", "B − A in std. errors", "p (Holm)", "differs")
     caption = "Values with 95 % intervals, the most different first"
     return [Table(caption, head, rows)]
 
@@ -171,7 +171,7 @@ def _path_row(p: PathDeviation) -> tuple[str, ...]:
         f"{p.decibel:+.2g} dB at {p.decibel_at_hz:.3g} Hz".replace("-", "−"),
         f"{p.degree:+.2g}° at {p.degree_at_hz:.3g} Hz".replace("-", "−"),
         f"{p.in_errors:.1f} at {p.in_errors_at_hz:.3g} Hz",
-        f"{p.p_value:.2g}",
+        chance_text(p.p_value),
     )
 
 

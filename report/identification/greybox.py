@@ -205,7 +205,9 @@ def grey_box_answer(report: GreyBoxReport) -> str:
     modes = report.modes[middle]
     at = f" at {report.places[middle].label}" if len(report.places) > 1 else ""
     values = ", ".join(f"{f:#.3g}" for f in modes.frequency_hz)
-    natural = f" Its natural frequencies{at} are {values} Hz." if len(modes.frequency_hz) else ""
+    natural = (
+        f" The model's natural frequencies{at} are {values} Hz." if len(modes.frequency_hz) else ""
+    )
     worst = report.worst
     error = "" if worst is None else f" ({worst.over_noise:.2f} times the noise)"
     if report.explains:
@@ -215,7 +217,7 @@ def grey_box_answer(report: GreyBoxReport) -> str:
         )
     return (
         f"The fitted model '{name}' does not explain these records{error}: the plant has an effect "
-        f"that the model lacks.{natural}"
+        f"that the model lacks, which levid trace looks for.{natural}"
     )
 
 
@@ -232,14 +234,16 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
     ]
     fits = [cell.fit_percent for cell in report.fits()]
     if fits:
-        numbers.append(Number(f"{min(fits):.2f} %", "lowest fit of the simulation, held-out rows"))
+        numbers.append(
+            Number(f"{min(fits):.2f} %", "lowest fit of a simulation to rows kept aside")
+        )
     if report.worst is not None:
         times = report.worst.over_noise
         numbers.append(
             Number(
                 f"{times:.2f}",
-                f"times the noise: largest simulation error; of a perfect model 1 ± "
-                f"{SURE_95 * report.worst.spread:.2f}",
+                "times the noise: largest simulation error; a perfect model has up to "
+                f"{1.0 + SURE_95 * report.worst.spread:.2f}",
                 _good(times <= NOISE_MOST),
             )
         )
@@ -248,8 +252,8 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
         white = not least * tests < NOT_WHITE
         numbers.append(
             Number(
-                "white" if white else "not white",
-                f"one-step-ahead errors, lowest p {chance(least)} of {tests} tests",
+                "random" if white else "not random",
+                f"errors one step ahead (white noise: lowest p {chance(least)} of {tests} tests)",
                 _good(white),
             )
         )

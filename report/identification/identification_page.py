@@ -128,7 +128,7 @@ def identification_report(
         details += _versions_parts(session)
     sections = _numbered_once([Section("Answer", tuple(answer)), *sections, *flown])
     sections.append(Section("Records and provenance", (*details, *_provenance(command))))
-    title = f"Identification of {_name(result, session, grey, multisine)}"
+    title = f"Identification of '{_name(result, session, grey, multisine)}'"
     return write_report(out_dir, title, sections)
 
 

@@ -106,7 +106,9 @@ def position_label(beam_m: float | None, positions_m: Sequence[float | None]) ->
     if beam_m is None:
         return "plant"
     known = sorted(p for p in positions_m if p is not None)
-    names = {1: (), 2: ("left", "right"), 3: ("left", "middle", "right")}.get(len(known), ())
+    if len(known) == 1:
+        return f"beam at {signed(1e3 * beam_m, 0)} mm"
+    names = {2: ("left", "right"), 3: ("left", "middle", "right")}.get(len(known), ())
     value = f"{signed(1e3 * beam_m, 0)} mm"
     return f"{names[known.index(beam_m)]} ({value})" if names and beam_m in known else value
 

@@ -61,13 +61,14 @@ def _session_page(session: Session, out_dir: Path) -> Path:
         where = shlex.quote(str(folder))
         command = f"levid identify {where}/*.mcap --out {where}/identification"
         next_step = ("Identify the plant from the records.", command)
-    summary = (Text(session_words(session), "lead"), Figures(session_numbers(session)))
+    words = f"{session_words(session)} {_verdict(session)}".rstrip()
+    summary = (Text(words, "lead"), Figures(session_numbers(session)))
     sections = (
         Section("Summary", summary),
         *session_sections(session),
         Section("What next", (Steps((next_step,)),)),
     )
-    return write_report(out_dir, f"Session {session.name}", sections)
+    return write_report(out_dir, f"Session '{session.name}'", sections)
 
 
 def session_words(session: Session) -> str:
@@ -91,6 +92,27 @@ def session_words(session: Session) -> str:
     return text
 
 
+def _verdict(session: Session) -> str:
+    """Return whether the records of a flight are good; empty if nothing tells."""
+    records = [step for step in session.steps if step.kind == "record"]
+    if not records or all(span.state is None for span in session.spans):
+        return ""
+    peaks = [s.peak_gap_m for s in records if s.peak_gap_m is not None]
+    limit_m = session.gap_limit_m
+    against = [
+        *(["a coil reached its limit"] if any(s.saturated for s in records) else []),
+        *(["cycles were late"] if any(s.skipped for s in records) else []),
+        *(
+            [f"the platform came within {100 * (1 - _NEAR):.0f} % of its gap limit"]
+            if peaks and limit_m is not None and max(peaks) > _NEAR * limit_m
+            else []
+        ),
+    ]
+    if against:
+        return f"Look at the records before you use them: {listed(against)}."
+    return "The records are good: no coil reached its limit, and no cycle was late."
+
+
 def listed(words: Sequence[str]) -> str:
     """Return words as a list in a sentence, such as 'a, b and c'."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
@@ -105,11 +127,9 @@ def session_numbers(session: Session) -> tuple[Number, ...]:
     saturated = sum(step.saturated for step in session.steps if step.kind == "record")
     skipped = sum(step.skipped for step in session.steps)
     numbers.append(
-        Number(
-            str(saturated), "cycles of records with a coil at its limit", _zero_is_good(saturated)
-        )
+        Number(str(saturated), "cycles with a coil at its force limit", _zero_is_good(saturated))
     )
-    numbers.append(Number(str(skipped), "periods skipped by late cycles", _zero_is_good(skipped)))
+    numbers.append(Number(str(skipped), "cycles lost by lateness", _zero_is_good(skipped)))
     return tuple(numbers)
 
 
@@ -119,7 +139,8 @@ def _farthest(peak_m: float, limit_m: float | None) -> Number:
     if limit_m is None:
         return Number(value, words)
     near = peak_m > _NEAR * limit_m
-    return Number(value, f"{words}; limit {1e3 * limit_m:g} mm", "bad" if near else "good")
+    limit = f"{factor * limit_m:.3g} {prefix}m"
+    return Number(value, f"{words}; limit {limit}", "bad" if near else "good")
 
 
 def session_sections(session: Session) -> tuple[Section, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -33,10 +32,8 @@ def effect_in_words(effect: Effect, parameters: Parameters) -> str:
 
 def place_in_words(where: Sequence[str]) -> str:
     """Return locations as a reader names them: 'coil 6', 'θ', 'the beam', 'sensors 0 to 8'."""
-    names = in_words(where)
-    many = re.fullmatch(r"(coil|sensor):(\d+) to \1:(\d+)", names)
-    if many:
-        return f"{many[1]}s {many[2]} to {many[3]}"
+    if " to " in (names := in_words(where)):
+        return names
     named = ["the " + w if w in ("beam", "rotor") else symbol(w).replace(":", " ") for w in where]
     return " and ".join([", ".join(named[:-1]), named[-1]]) if len(named) > 1 else named[0]
 
@@ -85,11 +82,11 @@ def _digits(size: float, half: float) -> str:
 
 
 _CLAUSES = {
-    "rod_stiffness.cubic": "the rods {k3:harden|soften} in {at}",
+    "rod_stiffness.cubic": "the rods {k3:harden|soften} with travel in {at} (by {k3})",
     "rod_stiffness.asymmetric": "the rods are stiffer to one side in {at}",
     "rod_stiffness.one_sided": "a contact adds stiffness to one side of {at}",
     "rod_stiffness.corners": "the rods {k3:harden|soften} at the corners",
-    "stiffness.cubic": "the spring of {at} {k3:hardens|softens}",
+    "stiffness.cubic": "the spring of {at} {k3:hardens|softens} with travel (by {k3})",
     "stiffness.asymmetric": "the spring of {at} is stiffer to one side",
     "stiffness.one_sided": "a contact adds stiffness to one side of {at}",
     "air_damping.linear": "the damping of {at} is {d:higher|lower} than declared",

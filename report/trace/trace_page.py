@@ -66,9 +66,9 @@ def _answer(found: Trace, result: Outcome) -> list[Part]:
     parts.append(
         Text(
             "Error: RMS of the difference between the readings and a simulation of the whole "
-            "record from the excitation alone, on records that neither fitted the model nor chose "
-            "the effects. Times the noise: this error over the error that sensor and amplifier "
-            "noise alone would leave.",
+            "record from the excitation alone, on records kept aside: neither the fit nor the "
+            "choice of effects used them. Times the noise: this error over the error that sensor "
+            "and amplifier noise alone leave on average; a perfect model has about 1.",
             "note",
         )
     )
@@ -202,7 +202,11 @@ def _numbers(result: Outcome) -> tuple[Number, ...]:
     supports = [s for s in supports if math.isfinite(s)]
     if supports:
         most = "the effect" if len(supports) == 1 else "the least certain effect"
-        numbers.append(Number(f"{min(supports):.2f}", f"support of {most}, of 1"))
+        numbers.append(
+            Number(
+                f"{100 * min(supports):.0f} %", f"of resamples of the data choose {most} (support)"
+            )
+        )
     doubtful = sum(bool(f.others) for f in result.effects)
     if doubtful:
         numbers.append(

@@ -209,7 +209,7 @@ def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
     assert len(found["corrections"]) == 11
     assert found["written"] == str(new)
     page = Path(found["report"]).read_text()
-    assert "This rig can fly after 11 corrections." in page
+    assert "This rig can fly with new.yaml, a copy of RIG.yaml with 11 corrections." in page
     assert "coil channel 8 is at the place of 7 in RIG.yaml" in page
     if find_browser() is not None:
         with browser(tmp_path / "profile") as window:

@@ -145,11 +145,11 @@ def test_effects_have_the_names_that_trace_gave_them(tmp_path: Path) -> None:
         folder.mkdir()
         model = yaml.safe_load(shipped("models/rig.yaml").read_text()) | {"effects": effects}
         (folder / "model.yaml").write_text(yaml.safe_dump(model))
-        stated = [{**e, "name": "Gain of a coil at coil:6", "class": "coil"} for e in effects]
+        stated = [{**e, "name": "Gain of a coil at coil 6", "class": "coil"} for e in effects]
         result = {"command": "trace", "effects": stated}
         (folder / "result.json").write_text(json.dumps(result))
     found = compare(*(load_result(tmp_path / side) for side in ("a", "b")))
-    assert [e.name for e in found.only_b] == ["Gain of a coil at coil:6"]
+    assert [e.name for e in found.only_b] == ["Gain of a coil at coil 6"]
 
 
 def saved(folder: Path, found: SavedResult, **more: object) -> Path:

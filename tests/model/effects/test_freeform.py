@@ -59,7 +59,7 @@ def test_only_forms_of_coils_and_sensors_depend_on_commands():
     assert kinds == {"sensor", "coil"}
     stray = by["unknown.coil_3[12]@sensor:0"]
     assert depends_on(stray) == ("coil:3",)
-    assert stray.name == "Reading that depends on the command of coil:3 at sensor:0"
+    assert stray.name == "Reading that depends on the command of coil:3 at sensor 0"
     s = moving()
     # The field acts together with the coil force, one cycle after the command.
     columns = np.stack([acts(t)[:, 0] for t in stray.build(s, ())], axis=1)

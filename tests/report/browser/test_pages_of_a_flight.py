@@ -34,10 +34,10 @@ then: [identify, trace]
 """
 # The answer of each page: in the words and with the numbers that the simulator was given.
 PAGES = {
-    "report": r"A flight of 4\d s",
+    "report": r"A flight of 46\ss .* The records are good",
     "identification": "Hz",
     "trace": r"coil 6 gives 2.00\s% less force",
-    "comparison": "Gain of a coil at coil:6",
+    "comparison": "Gain of a coil at coil 6",
 }
 SEEN_FIRST = 0.6
 """Share of the first screen in which the whole answer stands."""

@@ -300,7 +300,7 @@ def test_bins_over_time_have_equal_duration():
 def test_labels_and_numbers():
     assert position_label(-0.1, [-0.1, 0.0, 0.1]) == "left (−100 mm)"
     assert position_label(0.0, [-0.1, 0.0, 0.1]) == "middle (0 mm)"
-    assert position_label(0.02, [0.02]) == "+20 mm"
+    assert position_label(0.02, [0.02]) == "beam at +20 mm"
     assert position_label(None, [None]) == "plant"
     assert signed(-0.04, 1) == "0.0"
     assert power_of_ten(1e-3) == "10⁻³"

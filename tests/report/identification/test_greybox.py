@@ -206,7 +206,7 @@ def test_coloured_errors_are_reported(grey):
     assert "not white (x of <still>, x of moved)" in " ".join(
         t.text for t in grey_box_words(report)
     )
-    assert "bad" in [n.verdict for n in grey_box_numbers(report) if "white" in n.value]
+    assert "bad" in [n.verdict for n in grey_box_numbers(report) if "random" in n.value]
 
 
 def test_error_far_above_the_noise_is_rated_bad(grey):

@@ -217,7 +217,7 @@ def test_responses_with_missing_frequencies_are_drawn(result, truth, tmp_path):
 
 def test_report_without_a_known_controller(open_result, tmp_path):
     text = words(identification_report(open_result, None, tmp_path))
-    assert "Identification of measured" in text
+    assert "Identification of &#39;measured&#39;" in text
     assert "m/V" in text
     for expected in (
         "Held-out data",

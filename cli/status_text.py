@@ -16,6 +16,14 @@ _COUNTERS = {
 """Counters that are printed if they are not zero."""
 
 Status = Mapping[str, Any]
+_RESOURCE_PROBLEMS = {
+    "clients_gone": "{} clients disconnected in flight",
+    "recorder_restarts": "recorder restarted {} times",
+    "flooded_s": "socket flooded for {:g} s",
+    "memory_stalled_s": "waited {:g} s for memory",
+    "stolen_s": "host took {:g} s of CPU time",
+}
+"""Keys of the status that are shown if they are not zero."""
 
 
 def status_lines(status: Status) -> Iterator[str]:
@@ -87,16 +95,9 @@ def late_causes(status: Status) -> str:
 
 def resource_problems(status: Status) -> Iterator[str]:
     """Yield a line for each resource problem and restart since the daemon's start."""
-    if status["clients_gone"]:
-        yield f"clients that disconnected during a flight: {status['clients_gone']}"
-    if status["recorder_restarts"]:
-        yield f"recorder restarts: {status['recorder_restarts']}"
-    if status["flooded_s"]:
-        yield f"control socket flooded for {status['flooded_s']:g} s"
-    if status["memory_stalled_s"]:
-        yield f"processes waited {status['memory_stalled_s']:g} s for memory"
-    if status["stolen_s"]:
-        yield f"CPU time taken by the virtual machine's host: {status['stolen_s']:g} s"
+    for key, text in _RESOURCE_PROBLEMS.items():
+        if status[key]:
+            yield text.format(status[key])
 
 
 def shortened(text: str, width: int) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from ...daemon.control.faults import FAULTS, Fault
 from ...daemon.control.states import IN_FLIGHT, State
 from ..readable_values import Scale, duration
+from ..status_text import resource_problems
 from .bars import bar, chart, signed_bar, style_of
 from .styled_lines import Line, fit, title, wrap
 from .view import Status, View, in_flight
@@ -17,14 +18,6 @@ _STALE_S = 2.0
 """Age of the readings from which the screen says so."""
 _FEW_EVENTS = 12
 """Height of the events below which each one is cut after two lines."""
-_PROBLEMS = {
-    "clients_gone": "{} clients disconnected in flight",
-    "recorder_restarts": "recorder restarted {} times",
-    "flooded_s": "socket flooded for {:g} s",
-    "memory_stalled_s": "waited {:g} s for memory",
-    "stolen_s": "host took {:g} s of CPU time",
-}
-"""Keys of the status that are shown if they are not zero."""
 _NAME, _VALUE, _UNIT, _LIMIT = 6, 9, 5, 6
 
 
@@ -186,9 +179,7 @@ def recorder_panel(view: View, status: Status, width: int, brief: bool = False) 
         lines.append([(text, ""), (_end_of(status["log_folder"], width - len(text)), "dim")])
     if status["lost"]:
         lines.append([(f"{status['lost']} rows lost", "bad")])
-    for key, text in _PROBLEMS.items():
-        if status[key]:
-            lines.append([(text.format(status[key]), "warning")])
+    lines += [[(text, "warning")] for text in resource_problems(status)]
     return [fit(line, width) for line in lines]
 
 

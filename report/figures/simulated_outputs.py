@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from ...identification.subspace.response_uncertainty import SURE_95
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.min_max_bins import attach, min_max_bins
 from ..plotting.min_max_envelope import envelope, plot_envelope
@@ -19,7 +20,7 @@ from ..plotting.style import PAGE, TRUTH, LineStyle, Sheet, colour, drawing, eng
 
 Array = NDArray[np.float64]
 
-NOISE_BAND = 1.96
+NOISE_BAND = SURE_95
 """95 % of Gaussian noise is within this many RMS."""
 _BINS, _POINTS = 500, 1500
 _SCHEDULE_IN, _OUTPUT_IN, _ERROR_IN = 1.1, 1.5, 1.1

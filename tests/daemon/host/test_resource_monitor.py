@@ -213,9 +213,9 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
     assert lines[0] == "here at 1000 Hz: idle, zero force"
     assert lines[1] == "cycle 5, 0 late, 2 stale readings"
     assert lines[4:] == heavy * [
-        "clients that disconnected during a flight: 3",
-        "recorder restarts: 1",
-        "control socket flooded for 4 s",
-        "processes waited 0.5 s for memory",
-        "CPU time taken by the virtual machine's host: 0.25 s",
+        "3 clients disconnected in flight",
+        "recorder restarted 1 times",
+        "socket flooded for 4 s",
+        "waited 0.5 s for memory",
+        "host took 0.25 s of CPU time",
     ]

@@ -100,7 +100,12 @@ def test_logs_in_any_order_give_the_same_session(logs):
 def test_page_of_a_session(logs, tmp_path):
     page = session_report(logs, tmp_path / "report")
     text = page.read_text(encoding="utf-8")
-    for expected in ("Session &#39;a-session&#39;", "What was flown", "The moving beam", "What next"):
+    for expected in (
+        "Session &#39;a-session&#39;",
+        "What was flown",
+        "The moving beam",
+        "What next",
+    ):
         assert expected in text
     assert "420 µm" in text.replace("\u00a0", " ")
     assert "levid identify" in text

@@ -6,6 +6,7 @@ stalls with its host.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pwd
@@ -14,6 +15,7 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,6 +32,7 @@ RESULTS = Path("/rig")
 STATE = Path("/var/lib/levid")
 RIG = Path("/etc/levid/rig.yaml")
 LEVID = "/srv/levid/bin/levid"
+PAGE = "http://127.0.0.1:8080"
 RATE_HZ = 125
 PATIENCE_S = 90.0
 MOST_EXPOSED = 2.0
@@ -60,7 +63,8 @@ def main() -> None:
     )
     until(lambda: "emulating" in (RESULTS / "electronics.log").read_text(), "electronics answer")
     for step in (
-        starts, refuses, flies, recorder_dies, clock_steps, loop_dies, supervisor_dies, loop_hangs,
+        starts, shows_itself, refuses, flies, recorder_dies, clock_steps, loop_dies,
+        supervisor_dies, loop_hangs,
     ):  # fmt: skip
         step(electronics)
         say(step.__name__)
@@ -82,6 +86,7 @@ def install() -> None:
     plain["sim"] = "/srv/levid/src/levid/config/sims/nominal.yaml"
     plain["realtime"]["priority"] = 1
     plain["service"] = {"loop_s": 4, "supervisor_s": 4}
+    plain["live"] = {"rate_hz": 1}  # one processor carries all of this
     RIG.write_text(yaml.safe_dump(plain))
     run(LEVID, "install-service", str(RIG))
     Path("/etc/sysusers.d/zz-rig.conf").write_text(USERS)
@@ -104,7 +109,7 @@ def starts(_: Any) -> None:
     run("systemctl", "start", "levid")  # comes back when the daemon has said that it is ready
     assert shown("ActiveState") == "active"
     assert shown("StatusText") == "IDLE", shown("StatusText")
-    status = ask("status")
+    status = status_when(lambda s: s["pids"]["live"] is not None)
     assert status["state"] == "IDLE", status
     levid = pwd.getpwnam("levid").pw_uid
     for name, pid in status["pids"].items():
@@ -115,6 +120,25 @@ def starts(_: Any) -> None:
     # What a host takes of its processors, and whether there is one, is there for it to read.
     for name in ("stat", "cpuinfo"):
         assert (loop / "root/proc" / name).exists(), name
+
+
+def shows_itself(_: Any) -> None:
+    """The live view runs, and forbids itself more than the unit forbids all."""
+
+    def filters(name: str) -> int:
+        status = Path(f"/proc/{ask('status')['pids'][name]}/status").read_text()
+        return int(re.findall(r"Seccomp_filters:\s+(\d+)", status)[0])
+
+    until(lambda: filters("live") == filters("supervisor") + 1, "the filter of the live view")
+    page = ""
+
+    def answered() -> bool:
+        nonlocal page
+        with contextlib.suppress(OSError), urllib.request.urlopen(PAGE, timeout=10) as answer:
+            page = answer.read().decode()
+        return "<html" in page
+
+    until(answered, "the page of the live view")
 
 
 def flies(_: Any) -> None:

@@ -54,6 +54,11 @@ def fitted_modes(fit: Fit, schedule: Mapping[str, float]) -> Modes:
     )
 
 
+def natural_frequencies(model: DeclaredModel, schedule: Mapping[str, float]) -> Array:
+    """Return the natural frequencies (k,) of M q'' + D q' + K q in Hz."""
+    return np.asarray(np.abs(_poles(model, schedule)) / (2 * np.pi))
+
+
 def _poles(model: DeclaredModel, schedule: Mapping[str, float]) -> Complex:
     """Return the poles (k,) in rad/s with imaginary part >= 0, by ascending size."""
     s = np.linalg.eigvals(state_space(model.at(schedule)).A).astype(complex)

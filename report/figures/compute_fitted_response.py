@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...identification.greybox.fitted_modes import natural_frequencies
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.results import ClosedLoopPoint
 from ...identification.subspace.response_uncertainty import SURE_95
@@ -18,6 +19,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _POINTS = 120
+_AROUND = 1.4
 _BEAM = "beam_m"
 _STILL = 1e-3
 """Share of its range within which a scheduling variable counts as constant."""
@@ -60,7 +62,7 @@ def fitted_curve(grey: GreyBox, place: Place, line: LineStyle, shown: Range) -> 
     The band is a first-order approximation; fixed parameters count as exact. Paths with an
     invisible band have none.
     """
-    freq_hz = np.geomspace(shown.low_hz, shown.high_hz, _POINTS)
+    freq_hz = _frequencies(grey, shown)
     H = grey.response(place.schedule, freq_hz)
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.conj(H) / np.abs(H)
@@ -81,6 +83,18 @@ def fitted_curve(grey: GreyBox, place: Place, line: LineStyle, shown: Range) -> 
         H,
         np.where(visible, deviation, np.nan) if visible.any() else None,
     )
+
+
+def _frequencies(grey: GreyBox, shown: Range) -> Array:
+    """Return frequencies in Hz, two thirds of them around the resonances."""
+    natural = natural_frequencies(grey.fit.model, {})
+    natural = natural[(natural > shown.low_hz) & (natural < shown.high_hz)]
+    if not len(natural):
+        return np.geomspace(shown.low_hz, shown.high_hz, _POINTS)
+    low_hz = max(natural.min() / _AROUND, shown.low_hz)
+    high_hz = min(natural.max() * _AROUND, shown.high_hz)
+    all_over = np.geomspace(shown.low_hz, shown.high_hz, _POINTS // 3)
+    return np.union1d(all_over, np.geomspace(low_hz, high_hz, 2 * _POINTS // 3))
 
 
 def fitted_curves(grey: GreyBox, places: Sequence[Place], shown: Range) -> tuple[Curve, ...]:

@@ -74,7 +74,7 @@ class Comparison:
             if found:
                 parts.append(f"only {side} has: {', '.join(e.name for e in found)}")
         if self.shared_logs:
-            parts[0] = f"by errors that are not independent (logs in common), {parts[0]}"
+            parts[0] = f"as far as two results of the same logs can tell, {parts[0]}"
         return "; ".join(parts)
 
     @property

@@ -80,13 +80,14 @@ def _parameters(found: Comparison) -> list[Part]:
             f"{name_of(d)} [{unit}]" if unit else name_of(d),
             *values,
             "" if d.in_errors is None else f"{d.in_errors:+.1f}".replace("-", "−"),
-            "" if d.p_value is None else chance_text(d.p_value),
-            "" if d.p_value is None else "yes" if d.significant else "no",
+            ""
+            if d.p_value is None
+            else f"{'yes' if d.significant else 'no'}, p {chance_text(d.p_value)}",
         )
         for d in order
         for *values, unit in (value_cells(d),)
     )
-    head = ("parameter", "A", "B", "B − A", "B − A in std. errors", "p (Holm)", "differs")
+    head = ("parameter", "A", "B", "B − A", "std. errors apart", "differs (Holm)")
     caption = "Values with 95 % intervals, the most different first"
     return [Table(caption, head, rows)]
 

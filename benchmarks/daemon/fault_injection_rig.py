@@ -92,6 +92,8 @@ class Rig:
         self.bus, self.folder, self.flight = bus, folder, folder
         self.socket, self.file = folder / "levid.sock", folder / "rig.yaml"
         self.pids: dict[str, int] = {}
+        self.signalled_s = 0.0
+        """Monotonic time at which a process got its last signal."""
         self.dying_s = 0.0
         """Time that the kernel took to end all threads of the supervisor that was killed last."""
         self._client: socket.socket | None = None
@@ -255,6 +257,7 @@ class Rig:
         pid = self.pids[process]
         begin_s = time.monotonic()
         os.kill(pid, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+        self.signalled_s = time.monotonic()
         if (process, how) == ("supervisor", "killed"):
             wait_for(lambda: _parent(self.pids["loop"]) != pid, every_s=1e-3)
         self.dying_s = time.monotonic() - begin_s

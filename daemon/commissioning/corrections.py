@@ -244,9 +244,13 @@ def _at(mask: NDArray[np.bool_]) -> Sequence[int]:
 
 
 def _moved(what: str, place: NDArray[np.int64]) -> Iterator[str]:
-    for channel, found in enumerate(place):
-        if found not in (channel, -1):
+    for channel, found in enumerate(place.tolist()):
+        if found in (channel, -1):
+            continue
+        if place[found] != channel:
             yield f"{what} channel {channel} is at the place of {found} in RIG.yaml"
+        elif channel < found:
+            yield f"{what} channels {channel} and {found} are swapped in RIG.yaml"
 
 
 def _scaled(what: str, does: str, scales: Sequence[float]) -> Iterator[str]:

@@ -74,7 +74,7 @@ class Comparison:
             if found:
                 parts.append(f"only {side} has: {', '.join(e.name for e in found)}")
         if self.shared_logs:
-            parts[0] = f"as far as two results of the same logs can tell, {parts[0]}"
+            parts.insert(0, "two results of the same logs: no change of the plant is shown")
         return "; ".join(parts)
 
     @property

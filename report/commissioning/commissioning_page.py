@@ -17,7 +17,17 @@ from ...daemon.commissioning.corrections import (
     sensor_scale,
 )
 from ..plotting.figure_to_svg import Picture, to_svg
-from ..plotting.html_page import Figures, Number, Section, Steps, Table, Text, write_report
+from ..plotting.html_page import (
+    Figures,
+    Next,
+    Number,
+    Part,
+    Section,
+    Steps,
+    Table,
+    Text,
+    write_report,
+)
 from .platform_drawing import Drawn, platform_drawing
 
 
@@ -31,7 +41,7 @@ def commissioning_report(
     wrong, corrected = problems(found), corrections(found)
     return write_report(
         out_dir,
-        f"Commissioning of {rig.name}",
+        f"Commissioning of rig '{rig.name}'",
         [
             Section("Result", tuple(_result(found, rig, wrong, corrected, written))),
             Section("Channels", tuple(_channels(found, rig))),
@@ -45,7 +55,7 @@ def _result(
     wrong: Sequence[str],
     corrected: Sequence[str],
     written: Path | None,
-) -> list[Text | Figures | Table | Steps]:
+) -> list[Part]:
     late = found.height_delay
     if wrong:
         lead = f"{_count(len(wrong), 'channel')} must be repaired before this rig can fly."
@@ -57,8 +67,10 @@ def _result(
         )
     else:
         lead = "All channels are as RIG.yaml says."
-    parts: list[Text | Figures | Table | Steps] = [
+    steps = _steps(written)
+    parts: list[Part] = [
         Text(lead, "lead"),
+        Next(*steps[0]),
         Figures(
             (
                 Number(str(len(wrong)), "channels to repair", "bad" if wrong else "good"),
@@ -93,23 +105,23 @@ def _result(
     )
     if rows:
         parts.append(Table("What differs from RIG.yaml", ("state", "finding"), rows, labels=2))
-    if written is not None:
-        copy = shlex.quote(str(written))
-        first = shlex.quote(str(written.with_stem(f"{written.stem}-first-lift")))
-        parts.append(
-            Steps(
-                (
-                    ("Check the corrected rig and what the daemon asks before a lift-off",
-                     f"levid check {copy} && levid check --preflight {copy}"),
-                    ("Start the daemon with tight limits", f"levid run {first}"),
-                    ("Lift off for the first time, then land", "levid levitate && levid land"),
-                    ("From then on", f"levid run {copy}"),
-                )
-            )
-        )  # fmt: skip
-    else:
-        parts.append(Steps((("Repair these channels, and commission again", ""),)))
+    parts.append(Steps(steps))
     return parts
+
+
+def _steps(written: Path | None) -> tuple[tuple[str, str], ...]:
+    """Return the next steps with the corrected copy of RIG.yaml; None: there is none yet."""
+    if written is None:
+        return (("Repair these channels, and commission again", ""),)
+    copy = shlex.quote(str(written))
+    first = shlex.quote(str(written.with_stem(f"{written.stem}-first-lift")))
+    return (
+        ("Check the corrected rig and what the daemon asks before a lift-off",
+         f"levid check {copy} && levid check --preflight {copy}"),
+        ("Start the daemon with tight limits", f"levid run {first}"),
+        ("Lift off for the first time, then land", "levid levitate && levid land"),
+        ("From then on", f"levid run {copy}"),
+    )  # fmt: skip
 
 
 def _channels(found: Commissioned, rig: RigConfig) -> list[Text | Table | Picture]:

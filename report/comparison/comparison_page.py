@@ -47,7 +47,7 @@ def _answer(found: Comparison) -> list[Part]:
         Number(
             f"{count} of {found.tested}",
             "parameters differ by more than chance",
-            "bad" if count else "good",
+            "none" if count else "good",
         )
     ]
     if found.whole is not None:

@@ -217,7 +217,7 @@ def grey_box_answer(report: GreyBoxReport) -> str:
         )
     return (
         f"The fitted model '{name}' does not explain these records{error}: the plant has an effect "
-        f"that the model lacks, which levid trace looks for.{natural}"
+        f"that the model lacks.{natural}"
     )
 
 

@@ -16,7 +16,17 @@ from ...identification.records.record import describe_position
 from ...identification.results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 from ..figures.response_deviation import worst_on_diagonal
 from ..plotting.figure_to_svg import Picture
-from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
+from ..plotting.html_page import (
+    Figures,
+    Next,
+    Number,
+    Part,
+    Section,
+    Steps,
+    Table,
+    Text,
+    write_report,
+)
 from ..plotting.labelled_frequency_responses import SignalLabels
 from ..plotting.style import signed
 from ..session.flight_data import Session
@@ -105,18 +115,18 @@ def identification_report(
     for number, point in enumerate(others, start=1):
         chapters.append(_open_loop_chapter(point, signals, truth, number))
     best = next((c for c in chapters if c.reliable), chapters[0])
-    answer: list[Part] = [Text(best.answer, "lead"), Figures(best.numbers)]
-    answer += best.pictures[:1]
+    steps = tuple(dict.fromkeys(step for chapter in chapters for step in chapter.steps))
+    answer: list[Part] = [Text(best.answer, "lead"), *(Next(*s) for s in (*best.steps, *steps)[:1])]
+    answer += [Figures(best.numbers), *best.pictures[:1]]
     if session is not None:
         answer.append(Text(session_words(session), "note"))
     if truth is None and (grey is not None or multisine or closed):
         answer.append(Text(_NO_TRUTH, "note"))
-    steps = dict.fromkeys(step for chapter in chapters for step in chapter.steps)
     first, *evidence = best.sections
     first = replace(first, parts=(*best.words, *first.parts))
     sections = [
         first,
-        Section("What next", (Steps(tuple(steps)),)),
+        Section("What next", (Steps(steps),)),
         *evidence,
         *(section for c in chapters if c is not best for section in c.folded()),
     ]
@@ -388,7 +398,16 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
 def _after_grey_box(
     report: GreyBoxReport, truth: Truth | None, session: Session | None
 ) -> list[tuple[str, str]]:
-    fit, steps = report.grey.fit, []
+    fit, steps = report.grey.fit, list[tuple[str, str]]()
+    least, tests = least_chance(report)
+    worst = report.worst
+    if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
+        steps.append(
+            (
+                "Find the effect that the model lacks.",
+                "levid trace LOG... --out DIR",
+            )
+        )
     if fit.unidentifiable:
         names = listed([u.name for u in fit.unidentifiable])
         steps.append(
@@ -403,15 +422,6 @@ def _after_grey_box(
     if fit.at_bound:
         steps.append(
             (f"Check {listed(list(fit.at_bound))}: the fit ended at a bound of the model file.", "")
-        )
-    least, tests = least_chance(report)
-    worst = report.worst
-    if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
-        steps.append(
-            (
-                "Find the effect that the model lacks.",
-                "levid trace LOG... --out DIR",
-            )
         )
     if not steps:
         steps.append(("Use the fitted model: DIR/model.yaml is a model file for --model.", ""))

@@ -81,7 +81,15 @@ class Steps:
     items: tuple[tuple[str, str], ...]
 
 
-Part = Text | Figures | Table | Picture | Steps
+@dataclass(frozen=True)
+class Next:
+    """The first of the next steps, below an answer: text and command, or an empty command."""
+
+    text: str
+    command: str = ""
+
+
+Part = Text | Figures | Table | Picture | Steps | Next
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from ...daemon.control.states import State
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import (
     Figures,
+    Next,
     Number,
     Part,
     Section,
@@ -62,7 +63,7 @@ def _session_page(session: Session, out_dir: Path) -> Path:
         command = f"levid identify {where}/*.mcap --out {where}/identification"
         next_step = ("Identify the plant from the records.", command)
     words = f"{session_words(session)} {_verdict(session)}".rstrip()
-    summary = (Text(words, "lead"), Figures(session_numbers(session)))
+    summary = (Text(words, "lead"), Next(*next_step), Figures(session_numbers(session)))
     sections = (
         Section("Summary", summary),
         *session_sections(session),
@@ -129,13 +130,13 @@ def session_numbers(session: Session) -> tuple[Number, ...]:
     numbers.append(
         Number(str(saturated), "cycles with a coil at its force limit", _zero_is_good(saturated))
     )
-    numbers.append(Number(str(skipped), "cycles lost by lateness", _zero_is_good(skipped)))
+    numbers.append(Number(str(skipped), "control cycles missed", _zero_is_good(skipped)))
     return tuple(numbers)
 
 
 def _farthest(peak_m: float, limit_m: float | None) -> Number:
     factor, prefix = engineering(peak_m)
-    value, words = f"{factor * peak_m:.3g} {prefix}m", "largest gap reading in a record"
+    value, words = f"{factor * peak_m:.3g} {prefix}m", "largest reading of a gap sensor in a record"
     if limit_m is None:
         return Number(value, words)
     near = peak_m > _NEAR * limit_m

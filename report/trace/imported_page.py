@@ -21,7 +21,17 @@ from ...identification.trace.force_regression.force_trace_summary import (
 from ...identification.trace.force_regression.rated_candidate import Rated
 from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ..plotting.figure_to_svg import Picture, to_svg
-from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
+from ..plotting.html_page import (
+    Figures,
+    Next,
+    Number,
+    Part,
+    Section,
+    Steps,
+    Table,
+    Text,
+    write_report,
+)
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.number_format import half_percent, plain, unit_text, with_interval
 from .answer import imported_answer
@@ -41,11 +51,12 @@ def imported_report(trace: ForceTrace, out_dir: Path, command: str = "") -> Path
     """
     result = force_outcome(trace)
     picture, errors = _force_parts(trace, result)
+    steps = _steps(result, out_dir)
     sections = [
-        Section("Answer", (*_answer(trace, result), picture)),
+        Section("Answer", (*_answer(trace, result, steps), picture)),
         *_effects(result),
         Section("Model parameters", (_parameters(trace),)),
-        Section("What next", (Steps(tuple(_steps(result, out_dir))),)),
+        Section("What next", (Steps(tuple(steps)),)),
         *(
             Section(f"{number}. {law.name}", _law_parts(trace, law, number))
             for number, law in enumerate(result.laws, start=1)
@@ -56,12 +67,15 @@ def imported_report(trace: ForceTrace, out_dir: Path, command: str = "") -> Path
     ]
     names = (f"perhaps {law.name}" if law.doubtful else law.name for law in result.laws)
     title = ", ".join(names) or "no effect confirmed"
-    return write_report(out_dir, f"Trace of {trace.config.name}: {title}", sections)
+    return write_report(out_dir, f"Trace of '{trace.config.name}': {title}", sections)
 
 
-def _answer(trace: ForceTrace, result: ForceOutcome) -> list[Part]:
+def _answer(
+    trace: ForceTrace, result: ForceOutcome, steps: Sequence[tuple[str, str]]
+) -> list[Part]:
     lead = imported_answer(result)
-    parts: list[Part] = [Text(lead, "lead"), Figures(_numbers(result))]
+    parts: list[Part] = [Text(lead, "lead"), *(Next(*step) for step in steps[:1])]
+    parts.append(Figures(_numbers(result)))
     parts += [Text(text) for text in _notes(result)]
     about = ABOUT[result.metric].format(limit=trace.limit_hz)
     parts.append(Text(f"Error: {about}.", "note"))

@@ -20,8 +20,19 @@ from ...identification.trace.found_effects_summary import (
     telling,
 )
 from ...identification.trace.run_trace import Trace
+from ...model.effects.base import in_words
 from ..plotting.figure_to_svg import Picture, to_svg
-from ..plotting.html_page import Figures, Number, Part, Section, Steps, Table, Text, write_report
+from ..plotting.html_page import (
+    Figures,
+    Next,
+    Number,
+    Part,
+    Section,
+    Steps,
+    Table,
+    Text,
+    write_report,
+)
 from ..plotting.number_format import amount, times_text, with_interval
 from ..session.session_page import listed
 from .affected_places import affected_places, can_be_drawn
@@ -45,22 +56,23 @@ def trace_report(found: Trace, views: Views, out_dir: Path, command: str = "") -
     """
     result = outcome(found)
     spectrum, *errors = error_parts(found, result, views)
+    steps = _steps(result, out_dir)
     sections = [
-        Section("Answer", (*_answer(found, result), spectrum)),
+        Section("Answer", (*_answer(found, result, steps), spectrum)),
         *_effect_table(result, views),
         model_section(found),
-        Section("What next", (Steps(tuple(_steps(result, out_dir))),)),
+        Section("What next", (Steps(tuple(steps)),)),
         *effect_sections(result, views),
         Section("Error before and after", tuple(errors)),
         left_section(found, result, views),
         search_section(found),
         records_section(found, command),
     ]
-    return write_report(out_dir, f"Trace of {found.config.name}: {_title(result)}", sections)
+    return write_report(out_dir, f"Trace of '{found.config.name}': {_title(result)}", sections)
 
 
-def _answer(found: Trace, result: Outcome) -> list[Part]:
-    parts: list[Part] = [Text(rig_answer(result), "lead")]
+def _answer(found: Trace, result: Outcome, steps: Sequence[tuple[str, str]]) -> list[Part]:
+    parts: list[Part] = [Text(rig_answer(result), "lead"), *(Next(*step) for step in steps[:1])]
     parts.append(Figures(_numbers(result)))
     parts += [Text(text) for text in _notes(result)]
     parts.append(
@@ -194,18 +206,18 @@ def _numbers(result: Outcome) -> tuple[Number, ...]:
         *([before] if result.effects else []),
         Number(
             times_text(ratio),
-            "times the noise: error" + (" after, with effects" if result.effects else ""),
+            "times the noise: error"
+            + (" after, with effects" if result.effects else "")
+            + " (noise alone: about 1)",
             "good" if ratio <= NOISE_MOST else "bad",
         ),
     ]
     supports = [f.evidence.support for f in result.effects if f.evidence is not None]
     supports = [s for s in supports if math.isfinite(s)]
     if supports:
-        most = "the effect" if len(supports) == 1 else "the least certain effect"
+        most = "the effect" if len(supports) == 1 else "each effect"
         numbers.append(
-            Number(
-                f"{100 * min(supports):.0f} %", f"of resamples of the data choose {most} (support)"
-            )
+            Number(f"{100 * min(supports):.0f} %", f"of resamples of the data find {most} again")
         )
     doubtful = sum(bool(f.others) for f in result.effects)
     if doubtful:
@@ -228,6 +240,16 @@ def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
             (
                 "See below what the remaining error depends on. You can add your own effect to the "
                 "table: docs/trace.md shows how.",
+                "",
+            )
+        )
+    channels = [w for f in result.effects for w in f.effect.where if ":" in w]
+    if channels:
+        places = in_words(tuple(dict.fromkeys(channels)))
+        steps.append(
+            (
+                f"Check {places} at the rig. What you do not repair stays in the model: "
+                f"{out_dir / 'model.yaml'} has all effects.",
                 "",
             )
         )

@@ -100,8 +100,8 @@ def test_corrected_rig_flies_where_the_wrong_one_does_not(tmp_path: Path) -> Non
     fly(first, "first")
     said = " ".join(corrections(found))
     for words in (
-        "sensor channel 3 is at the place of 5",
-        "coil channel 8 is at the place of 7",
+        "sensor channels 3 and 5 are swapped",
+        "coil channels 7 and 8 are swapped",
         "sensor channel 6 reads with the wrong sign",
         "coil channel 4 pushes 1.2",
     ):
@@ -206,11 +206,11 @@ def test_command_writes_a_corrected_copy(levid, tmp_path: Path) -> None:
     assert outcome.code == 0
     found = json.loads(outcome.out)
     assert found["problems"] == []
-    assert len(found["corrections"]) == 11
+    assert len(found["corrections"]) == 8
     assert found["written"] == str(new)
     page = Path(found["report"]).read_text()
-    assert "This rig can fly with new.yaml, a copy of RIG.yaml with 11 corrections." in page
-    assert "coil channel 8 is at the place of 7 in RIG.yaml" in page
+    assert "This rig can fly with new.yaml, a copy of RIG.yaml with 8 corrections." in page
+    assert "coil channels 7 and 8 are swapped in RIG.yaml" in page
     if find_browser() is not None:
         with browser(tmp_path / "profile") as window:
             window.open(Path(found["report"]).as_uri())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from ..figures.bode import bode_magnitude, bode_phase
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Table, Text, write_report
 from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, symbol
+from ..plotting.number_format import unit_text
 from ..plotting.style import line_of
 from .deviation_figure import deviation_figure
 
@@ -77,19 +79,24 @@ def _parameters(found: Comparison) -> list[Part]:
     order = sorted(found.parameters, key=lambda d: -abs(d.in_errors or 0.0))
     rows = tuple(
         (
-            f"{name_of(d)} [{unit}]" if unit else name_of(d),
+            f"{name_of(d)} [{_unit_words(unit)}]" if unit else name_of(d),
             *values,
             "" if d.in_errors is None else f"{d.in_errors:+.1f}".replace("-", "−"),
-            ""
-            if d.p_value is None
-            else f"{'yes' if d.significant else 'no'}, p {chance_text(d.p_value)}",
+            "" if d.p_value is None else "yes" if d.significant else "no",
         )
         for d in order
         for *values, unit in (value_cells(d),)
     )
-    head = ("parameter", "A", "B", "B − A", "std. errors apart", "differs (Holm)")
-    caption = "Values with 95 % intervals, the most different first"
+    head = ("parameter", "A", "B", "B − A", "std. errors", "differs")
+    caption = (
+        "Values with 95 % intervals, the most different first; B − A also over its standard error"
+    )
     return [Table(caption, head, rows)]
+
+
+def _unit_words(unit: str) -> str:
+    """Return a unit with its power of ten as a reader writes it: 10⁻³ kg m²."""
+    return unit_text(re.sub(r"^1e(-?\d+)", r"10^\1", unit))
 
 
 def name_of(d: Difference) -> str:

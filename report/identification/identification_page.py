@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -402,12 +403,9 @@ def _after_grey_box(
     least, tests = least_chance(report)
     worst = report.worst
     if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
-        steps.append(
-            (
-                "Find the effect that the model lacks.",
-                "levid trace LOG... --out DIR",
-            )
-        )
+        where = None if session is None else shlex.quote(str(session.steps[0].path.parent))
+        logs, out = ("LOG...", "DIR") if where is None else (f"{where}/*.mcap", f"{where}/trace")
+        steps.append(("Find the effect that the model lacks.", f"levid trace {logs} --out {out}"))
     if fit.unidentifiable:
         names = listed([u.name for u in fit.unidentifiable])
         steps.append(

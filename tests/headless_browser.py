@@ -1,182 +1,23 @@
-"""Drive a headless Chromium by the DevTools protocol over a pipe: no package is needed."""
+"""A headless Chromium for tests, which are skipped where there is none."""
 
 from __future__ import annotations
 
-import base64
-import json
-import os
-import shutil
-import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
-from waiting import wait_until
 
-_NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-_ANSWER_S = 60.0
+from levid.benchmarks.harness import headless_browser
+from levid.benchmarks.harness.headless_browser import Page, find_browser
 
-
-def find_browser() -> str | None:
-    """Return the path of a Chromium, None where there is none."""
-    return next(filter(None, map(shutil.which, _NAMES)), None)
-
-
-def browser_path() -> str:
-    """Return the path of a Chromium; skip the test where there is none."""
-    if (found := find_browser()) is not None:
-        return found
-    pytest.skip(f"no browser: expected one of {', '.join(_NAMES)} in PATH")
-
-
-class Page:
-    """A tab of the browser, and the errors in its console."""
-
-    def __init__(
-        self, send: Callable[..., dict[str, Any]], session: str, errors: list[str]
-    ) -> None:
-        self._send, self._session = send, session
-        self.errors = errors
-        for domain in ("Page", "Runtime", "Log"):
-            self.command(f"{domain}.enable")
-
-    def command(self, method: str, **parameters: object) -> dict[str, Any]:
-        return self._send(method, parameters, self._session)
-
-    def open(self, url: str, *, script: bool = True) -> None:
-        """Load a page, with or without JavaScript."""
-        self.command("Emulation.setScriptExecutionDisabled", value=not script)
-        self.command("Page.navigate", url=url)
-        self.wait_for("document.readyState === 'complete'")
-
-    def resize(self, width: int = 1400, height: int = 1000) -> None:
-        """Set the size of the window in pixels; below 600 it is a telephone's."""
-        self.command(
-            "Emulation.setDeviceMetricsOverride",
-            width=width, height=height, deviceScaleFactor=1, mobile=width < 600,
-        )  # fmt: skip
-
-    def medium(self, medium: str = "screen", *, dark: bool = False) -> None:
-        """Show the page on screen or printed, in light or dark colours."""
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        self.command("Emulation.setEmulatedMedia", media=medium, features=[scheme])
-
-    def value(self, expression: str) -> Any:
-        """Return the value of a JavaScript expression."""
-        answer = self.command(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
-        )
-        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
-        return answer["result"].get("value")
-
-    def wait_for(self, expression: str) -> None:
-        """Wait until a JavaScript expression is true."""
-        wait_until(lambda: self.value(expression), _ANSWER_S, expression)
-
-    def mouse(self, kind: str, x: float, y: float, **more: object) -> None:
-        self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
-
-    def move(self, x: float, y: float) -> None:
-        """Move the mouse."""
-        self.mouse("mouseMoved", x, y)
-
-    def drag(self, x0: float, y0: float, x1: float, y1: float) -> None:
-        """Press the left button, move in steps, release it."""
-        self.move(x0, y0)
-        self.mouse("mousePressed", x0, y0, button="left", buttons=1, clickCount=1)
-        for k in range(1, 6):
-            x, y = x0 + (x1 - x0) * k / 5, y0 + (y1 - y0) * k / 5
-            self.mouse("mouseMoved", x, y, button="left", buttons=1)
-        self.mouse("mouseReleased", x1, y1, button="left", clickCount=1)
-
-    def click(self, selector: str) -> None:
-        """Click once in the middle of an element."""
-        x, y = self.value(
-            f"(() => {{ const e = document.querySelector({selector!r}); e.scrollIntoView();"
-            " const b = e.getBoundingClientRect();"
-            " return [b.x + b.width / 2, b.y + b.height / 2]; })()"
-        )
-        for kind in ("mousePressed", "mouseReleased"):
-            self.mouse(kind, x, y, button="left", clickCount=1)
-
-    def double_click(self, x: float, y: float) -> None:
-        """Click twice."""
-        for count in (1, 2):
-            self.mouse("mousePressed", x, y, button="left", buttons=1, clickCount=count)
-            self.mouse("mouseReleased", x, y, button="left", clickCount=count)
-
-    def press(self, key: str) -> None:
-        """Press and release a key."""
-        for kind in ("keyDown", "keyUp"):
-            self.command("Input.dispatchKeyEvent", type=kind, key=key)
-
-    def screenshot(self, path: Path) -> None:
-        """Save a picture of the whole page."""
-        shot = self.command("Page.captureScreenshot", captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(shot["data"]))
+__all__ = ["Page", "browser", "find_browser"]
 
 
 @contextmanager
 def browser(profile: Path) -> Iterator[Page]:
     """Start a browser with an empty profile; end it after the `with` body."""
-    to_child, from_us = os.pipe()
-    from_child, to_us = os.pipe()
-
-    def place() -> None:  # the browser reads from 3 and writes to 4
-        reading, writing = os.dup(to_child), os.dup(to_us)
-        os.dup2(reading, 3)
-        os.dup2(writing, 4)
-
-    process = subprocess.Popen(
-        [
-            browser_path(), "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-            "--remote-debugging-pipe", "--no-first-run", f"--user-data-dir={profile}",
-            "about:blank",
-        ],
-        preexec_fn=place, pass_fds=(3, 4),  # noqa: PLW1509 - it only duplicates two descriptors
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    os.close(to_child)
-    os.close(to_us)
-    try:
-        with os.fdopen(from_us, "wb", 0) as sending, os.fdopen(from_child, "rb") as receiving:
-            yield _first_page(sending, receiving)
-    finally:
-        process.kill()
-        process.wait()
-
-
-def _first_page(sending: Any, receiving: Any) -> Page:
-    number, rest = 0, b""
-    errors: list[str] = []
-
-    def send(method: str, parameters: dict[str, Any], session: str = "") -> dict[str, Any]:
-        nonlocal number, rest
-        number += 1
-        message = {"id": number, "method": method, "params": parameters}
-        if session:
-            message["sessionId"] = session
-        sending.write(json.dumps(message).encode() + b"\0")
-        while True:
-            while b"\0" not in rest:
-                part = receiving.read1(1 << 16)
-                if not part:
-                    raise EOFError("the browser ended")
-                rest += part
-            text, _, rest = rest.partition(b"\0")
-            answer = json.loads(text)
-            event, about = answer.get("method"), answer.get("params", {})
-            if event == "Runtime.exceptionThrown":
-                errors.append(json.dumps(about))
-            if event == "Log.entryAdded" and about["entry"]["level"] == "error":
-                errors.append(about["entry"]["text"])
-            if answer.get("id") == number:
-                if "error" in answer:
-                    raise RuntimeError(f"{method}: {answer['error']}")
-                return answer["result"]
-
-    target = send("Target.createTarget", {"url": "about:blank"})["targetId"]
-    session = send("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
-    return Page(send, session, errors)
+    if find_browser() is None:
+        pytest.skip("no Chromium in PATH")
+    with headless_browser.browser(profile) as page:
+        yield page

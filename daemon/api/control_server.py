@@ -211,6 +211,7 @@ class Server:
         if now_s - self._polled_s < self._poll_s:
             return
         self._polled_s = now_s
+        self._rarely.flush(now_s)
         if self._listener.in_place:
             self._reported_missing = False
             return

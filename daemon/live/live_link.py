@@ -81,6 +81,7 @@ class LiveLink:
         if self._live is None:
             return
         now_s = self._clock.update(time.monotonic())
+        self._rarely.flush(now_s)
         if not self._child.running:
             if now_s >= self._restart_s:
                 self._start(now_s)

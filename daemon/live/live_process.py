@@ -124,6 +124,7 @@ class LiveProcess:
             self._stream.send_status(status)
             self._status_event = event_bytes("status", status_data(status))
             self._page.send(self._status_event)
+            self._rarely.flush(time.monotonic())
 
     def _on_event(self, event: Event) -> None:
         self._stream.send_event(event)

@@ -58,6 +58,7 @@ class PlannerLink:
     def watch(self) -> None:
         """Start the planner, or restart it if it ended or does not cancel a task."""
         now_s = time.monotonic()
+        self._rarely.flush(now_s)
         if self._cancelled is not None:
             job, since_s = self._cancelled
             if self._ended(job) is not None:

@@ -133,6 +133,7 @@ class RecorderLink:
         """Process its messages; start or restart the recorder if it does not run."""
         self.receive()
         now_s = self._process_clock.update(time.monotonic())
+        self._rarely.flush(now_s)
         if not self._child.running:
             if now_s >= self._restart_s:
                 self._start(now_s)

@@ -326,6 +326,7 @@ class Supervisor:
         if step_s := self._clock.poll():
             clock = f"the system clock was set by {step_s:+.1f} s; log times are not affected"
             self._rarely.line("clock", time.monotonic(), clock)
+        self._rarely.flush(time.monotonic())
         self._resources.poll(time.monotonic(), self._server.requests, self._shared.lost)
         control_words = self.control_words
         resting = control_words.state not in IN_FLIGHT

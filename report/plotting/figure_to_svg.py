@@ -27,7 +27,7 @@ class Picture:
 
     The page shows the SVG, and over it the chart if the SVG is of to_svg and has one.
     `alt` is the alternative text, `caption` the caption, `paper` the corresponding figure of the
-    paper ('Fig. 9'), if any.
+    paper ('Fig. 9'), if any. A narrow one fits a telephone.
     """
 
     name: str
@@ -35,6 +35,7 @@ class Picture:
     alt: str
     caption: str
     paper: str = ""
+    narrow: bool = False
 
     @property
     def chart(self) -> Chart | None:

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ...model.effects.base import Effect, Places
+from ...model.effects.base import Effect, Places, in_words
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.style import PAGE, Sheet, colour, drawing, new_figure
 
-_HEIGHT_IN = 3.3
+_WIDTH_IN, _HEIGHT_IN = 3.6, 3.6
 _MOST_MARKED = 4
 """Effects of more coils or sensors than this are of all of them, and mark none."""
 _COIL = 17.0
-_LETTERS, _MOST_LINES = 62, 9
 _MOTIONS = {
-    "psi": "ψ: the platform tilts about x",
-    "theta": "θ: the platform tilts about −y",
-    "z": "z: the platform moves up and down",
+    "psi": "ψ (tilt about x)",
+    "theta": "θ (tilt about −y)",
+    "z": "z (up and down)",
 }
 
 
@@ -29,16 +28,15 @@ def can_be_drawn(places: Places) -> bool:
     return bool(places.beam and len(places.coil_xy_m) and len(places.sensor_xy_m))
 
 
-def affected_places(
-    places: Places, effects: Sequence[Effect], words: Sequence[str], *, sheet: Sheet = PAGE
-) -> Figure:
-    """Draw coils and sensors of a rig; those of effects are marked. words: a clause of each."""
+def affected_places(places: Places, effects: Sequence[Effect], *, sheet: Sheet = PAGE) -> Figure:
+    """Draw coils and sensors of a rig; those of effects are marked."""
+    sheet = replace(sheet, width_in=_WIDTH_IN)
     coils = _marked(effects, "coil")
     sensors = _marked(effects, "sensor")
     carried = any(c in e.where for e in effects for c in ("beam", "rotor"))
     with drawing(sheet):
         figure = new_figure(sheet, _HEIGHT_IN)
-        ax = figure.add_axes((0.06, 0.16, 0.36, 0.82))
+        ax = figure.add_axes((0.2, 0.16, 0.78, 0.82))
         ax.set_aspect("equal")
         ax.margins(0.22)
         for number, (x, y) in enumerate(1e3 * places.coil_xy_m):
@@ -63,8 +61,17 @@ def affected_places(
         _beam(ax, places, marked=carried)
         ax.set_xlabel("x in mm")
         ax.set_ylabel("y in mm")
-        _list(figure, places, effects, words, sheet)
     return figure
+
+
+def places_in_words(places: Places, effects: Sequence[Effect]) -> str:
+    """Return the caption of the drawing: what is marked, which motions effects act on, the key."""
+    there = list(dict.fromkeys(w for e in effects for w in e.where))
+    marked = [w for w in there if w not in places.dof]
+    moved = [_MOTIONS.get(w, symbol(w)) for w in places.dof if w in there]
+    parts = [f"Marked: {in_words(marked)}."] if marked else []
+    parts += [f"Effects on the motion of the whole platform: {', '.join(moved)}."] if moved else []
+    return " ".join([*parts, "From above: squares are coils, s their sensors, the strip the beam."])
 
 
 def _marked(effects: Sequence[Effect], kind: str) -> set[int]:
@@ -81,28 +88,3 @@ def _beam(ax: Axes, places: Places, *, marked: bool) -> None:
         [0, 0], [-1.25 * reach, 1.25 * reach], zorder=1, solid_capstyle="butt",
         color=colour("vermillion" if marked else "grid"), linewidth=7 if marked else 5,
     )  # fmt: skip
-
-
-def _list(
-    figure: Figure,
-    places: Places,
-    effects: Sequence[Effect],
-    words: Sequence[str],
-    sheet: Sheet,
-) -> None:
-    """Write the effects and the motions that they act on beside the drawing."""
-    lines = [(f"{n}. {wrapped(text)}", "vermillion") for n, text in enumerate(words, start=1)]
-    acted_on = [d for d in places.dof if any(d in e.where for e in effects)]
-    lines += [(_MOTIONS.get(d, symbol(d)), "muted") for d in acted_on]
-    lines.append(("squares: coils; s: the sensor below a coil; strip: the beam", "muted"))
-    y = 0.93
-    for text, role in lines[:_MOST_LINES]:
-        figure.text(
-            0.47, y, text, color=colour(role), fontsize=sheet.font_pt, va="top", linespacing=1.35
-        )
-        y -= 0.075 * (text.count("\n") + 1) + 0.03
-
-
-def wrapped(text: str) -> str:
-    """Return a text in lines that fit beside the drawing."""
-    return "\n    ".join(textwrap.wrap(text, _LETTERS))

@@ -35,9 +35,8 @@ from ..plotting.html_page import (
 )
 from ..plotting.number_format import amount, times_text, with_interval
 from ..session.session_page import listed
-from .affected_places import affected_places, can_be_drawn
+from .affected_places import affected_places, can_be_drawn, places_in_words
 from .answer import rig_answer
-from .effect_in_words import effect_in_words
 from .effect_sections import effect_sections, sizes
 from .residual_section import left_section
 from .trace_sections import error_parts, model_section, records_section, search_section
@@ -85,14 +84,14 @@ def _answer(found: Trace, result: Outcome, steps: Sequence[tuple[str, str]]) -> 
         )
     )
     effects = [f.effect for f in result.effects]
-    words = [effect_in_words(f.effect, f.parameters()) for f in result.effects]
     if effects and can_be_drawn(found.places):
         parts.append(
             Picture(
                 "platform",
-                to_svg(affected_places(found.places, effects, words)),
+                to_svg(affected_places(found.places, effects)),
                 "The platform from above with the places of the effects marked.",
-                "Where the effects act.",
+                places_in_words(found.places, effects),
+                narrow=True,
             )
         )
     return parts

@@ -154,10 +154,10 @@ def attempt(trials: list[dict[str, str]], rig: Rig, case: Case) -> None:
     most, name = case.kind.most_cycles, case.kind.fault.name
     try:
         with nullcontext() if case.line else rig.signalled(process, how):
-            # A busy machine may run this program late: cycles before the signal do not count.
+            # Cycles that begin between this program's last look and the signal do not count.
             late_s = 0.0 if case.line else rig.signalled_s - asked_s
             cycles, problems["force"] = rig.until_zero(before["forced_periods"])
-        most += math.floor(late_s * RATE_HZ)
+        most += math.ceil(late_s * RATE_HZ)
         if case.name == _SEEN_WHEN_DEAD:
             most += math.ceil(rig.dying_s * RATE_HZ)
         if cycles > most:

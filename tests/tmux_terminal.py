@@ -8,6 +8,7 @@ import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from waiting import wait_until
 
 WAIT_S = 60.0
 _POLL_S = 0.02
+_NUMBERS = count()
 
 
 class Terminal:
@@ -69,7 +71,8 @@ def terminal(
     unset = [f"--unset={name}" for name, value in env.items() if not value]
     words = ["env", *unset, *(f"{n}={value}" for n, value in env.items() if value), *command]
     shell = f"{shlex.join(words)}; echo exit code $?; exec sleep 600"
-    window = Terminal(folder / "tmux.sock")
+    # A server of its own: one that was killed in this folder before may still be ending.
+    window = Terminal(folder / f"tmux-{next(_NUMBERS)}.sock")
     width, height = map(str, size)
     window.tmux("new-session", "-d", "-x", width, "-y", height, shell)
     try:

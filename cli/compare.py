@@ -83,7 +83,6 @@ def _schedule(texts: tuple[str, ...], known: set[str]) -> dict[str, float]:
 
 def words(found: Comparison) -> list[str]:
     """Return the comparison as lines of text, the answer first; +- is a 95 % interval."""
-    from ..identification.comparison.parameter_differences import chance_text
     from ..report.comparison.comparison_page import name_of, value_cells
 
     lines = [found.verdict, f"A: {found.a.path}", f"B: {found.b.path}"]
@@ -96,7 +95,7 @@ def words(found: Comparison) -> list[str]:
                 name_of(d),
                 *cells,
                 "" if d.in_errors is None else f"{d.in_errors:+.1f}",
-                "" if d.p_value is None else chance_text(d.p_value),
+                "" if d.p_value is None else _chance(d.p_value),
                 "differs" if d.significant else "",
             )
         )
@@ -120,7 +119,6 @@ def words(found: Comparison) -> list[str]:
 
 
 def _response_lines(response: ResponseComparison) -> list[str]:
-    from ..identification.comparison.parameter_differences import chance_text
 
     at = ", ".join(f"{name} = {value:g}" for name, value in response.schedule.items())
     low, high = response.freq_hz[0], response.freq_hz[-1]
@@ -131,7 +129,7 @@ def _response_lines(response: ResponseComparison) -> list[str]:
             f"{p.decibel:+.2g} dB at {p.decibel_at_hz:.3g} Hz",
             f"{p.degree:+.2g} deg at {p.degree_at_hz:.3g} Hz",
             f"{p.in_errors:.1f} at {p.in_errors_at_hz:.3g} Hz",
-            chance_text(p.p_value),
+            _chance(p.p_value),
         )
         if p.determined
         else (f"{p.input} to {p.output}", "not determined", "", "", "")
@@ -139,3 +137,9 @@ def _response_lines(response: ResponseComparison) -> list[str]:
     ]
     head = ("path", "magnitude", "phase", "std errors", "p, all frequencies")
     return lines + [f"  {line}" for line in text_table(head, rows)]
+
+
+def _chance(p_value: float) -> str:
+    from ..report.plotting.number_format import chance
+
+    return chance(p_value).replace("10⁻⁴", "1e-4").replace("—", "")

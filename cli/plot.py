@@ -75,7 +75,8 @@ def command(
 
 
 def _is_log(path: Path) -> bool:
-    return path.suffix == ".mcap" or path.exists() or len(path.parts) > 1
+    """Return whether an argument is a log; signals have neither an ending nor a folder."""
+    return bool(path.suffix) or len(path.parts) > 1
 
 
 def _of_log(
@@ -132,7 +133,7 @@ def _of_logs(
 def _of_time(
     log: LogStream, begin_s: float | None, end_s: float | None
 ) -> tuple[float | None, float | None]:
-    """Return times since a log's first row as times of the log."""
+    """Return times since a log's first row as values of its time_s, in s."""
     from ..log.exporting.export_log import time_of
 
     first = log.first_block()
@@ -144,7 +145,7 @@ def _of_time(
 
 
 def _distinct_names(logs: Sequence[Path]) -> list[str]:
-    """Return the names of logs, with as many of their folders as tell them apart.
+    """Return the names of logs, preceded by folders until all differ.
 
     Raises:
         click.UsageError: a log is there twice.

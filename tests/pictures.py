@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 
 from headless_browser import Page
@@ -26,10 +27,9 @@ def page_pictures(page: Page, name: str) -> None:
 
 def terminal_picture(screen: Terminal, name: str, width: int) -> None:
     """Save the screen of a terminal with its colours, as SVG."""
-    with Path("/dev/null").open("w") as nowhere:
-        console = Console(record=True, width=width, file=nowhere, force_terminal=True)
-        for line in AnsiDecoder().decode(screen.escapes):
-            console.print(line, overflow="crop", no_wrap=True)
+    console = Console(record=True, width=width, file=StringIO(), force_terminal=True)
+    for line in AnsiDecoder().decode(screen.escapes):
+        console.print(line, overflow="crop", no_wrap=True)
     console.save_svg(str(picture(f"{name}.svg")), title=name)
 
 

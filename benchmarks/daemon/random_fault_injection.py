@@ -7,7 +7,7 @@ force and be named correctly. Afterwards the daemon must be usable, every log mu
 daemon that has ended must leave no process and no lock. Zero force is required within 3 cycles if
 the loop can act, counted from the moment the fault is visible. If the loop is dead or the device
 does not receive its commands, the device's own timeout counts. Benchmarks beside this one and tests
-check faults that must not end a flight. --quick: 42 faults, otherwise 1,002 in two hours.
+check faults that must not end a flight. --quick: 42 faults, otherwise 1,002 in 90 minutes.
 """
 
 from __future__ import annotations

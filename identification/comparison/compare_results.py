@@ -80,7 +80,7 @@ class Comparison:
     @property
     def shared_logs(self) -> int:
         """Number of logs that both results use."""
-        return len(set(self.a.logs) & set(self.b.logs))
+        return _shared_logs(self.a, self.b)
 
 
 def compare(
@@ -107,13 +107,17 @@ def compare(
     )
 
 
+def _shared_logs(a: SavedResult, b: SavedResult) -> int:
+    return len(set(a.logs) & set(b.logs))
+
+
 def _notes(a: SavedResult, b: SavedResult) -> Iterator[str]:
-    shared = len(set(a.logs) & set(b.logs))
+    shared = _shared_logs(a, b)
     if shared:
         yield (
             f"both results use {shared} log{'s' * (shared > 1)} in common: their errors are not "
-            "independent, so that the tests only say how far the two are apart, not whether the "
-            "plant has changed; compare results of different logs for that"
+            "independent, and the tests cannot show a change of the plant; compare results of "
+            "different logs"
         )
     for side, r in (("A", a), ("B", b)):
         if r.free and not r.correlated:

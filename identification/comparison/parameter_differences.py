@@ -69,11 +69,6 @@ class Difference:
         return self.p_value is not None and self.p_value < SIGNIFICANT
 
 
-def chance_text(p_value: float) -> str:
-    """Return a p-value as text, the smallest ones as one."""
-    return "<0.0001" if p_value < 1e-4 else f"{p_value:.2g}"
-
-
 def parameter_differences(a: SavedResult, b: SavedResult) -> tuple[Difference, ...]:
     """Return the parameters that both results have, those of common effects included.
 

@@ -28,8 +28,8 @@ class SavedResult:
     path: as given. free: the parameters with a standard error, covariance (F, F) theirs in SI
     units. correlated: whether the covariance has correlations; without result.json it is diagonal.
     command: identify or trace, empty if not known. logs: paths of the logs that it was fitted to.
-    random_forces: found by trace, which are not in the model: name and parameters. names: those of
-    the model's effects, by place in the file.
+    random_forces: found by trace, which are not in the model: name and parameters. names: of the
+    model's effects, in the order of the file; if empty, they are named by key and location.
     """
 
     path: Path
@@ -49,7 +49,7 @@ class SavedResult:
 
     @property
     def effects(self) -> dict[tuple[str, tuple[str, ...]], tuple[str, ModelEffect]]:
-        """Effects of the model with their names, by key and location."""
+        """Name and entry of each effect of the model, by key and location."""
         names = self.names or tuple(map(_key_and_place, self.model.effects))
         effects = self.model.effects
         return {(e.effect, e.where): (name, e) for name, e in zip(names, effects, strict=True)}
@@ -139,7 +139,7 @@ def _covariance(
 
 
 def _effect_names(found: Mapping[str, Any], model: ModelConfig) -> tuple[str, ...]:
-    """Return the names that trace gave the effects; those of other files: key and location."""
+    """Return the names of the effects in result.json, else their keys and locations."""
     stated = {
         (tuple(effect.get("where", ())), _values(effect.get("parameters", {}))): effect["name"]
         for effect in found.get("effects") or []

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...model.declared_model import DeclaredModel
 from ...model.second_order import state_space
+from ..covariance_scaling import correlation
 from ..subspace.response_uncertainty import Modes
 from .fit import Fit
 
@@ -38,9 +39,7 @@ def fitted_modes(fit: Fit, schedule: Mapping[str, float]) -> Modes:
         )
         slopes.append((high - low) / (2 * _DIFFERENCE))
     J = np.array(slopes).reshape(len(slopes), len(poles))
-    size = np.sqrt(np.diag(fit.covariance))
-    size = np.where(size > 0, size, 1.0)
-    scaled = fit.covariance / size[:, None] / size
+    scaled = correlation(fit.covariance)
     along = np.real(np.conj(poles) * J) / np.abs(poles)  # d|s|
     damping = -J.real / np.abs(poles) + poles.real * along / np.abs(poles) ** 2
     frequency_se, damping_se = (

@@ -1,4 +1,4 @@
-"""The covariance of a refitted model's parameters, as result.json states it."""
+"""State the covariance of a refitted model's parameters, for result.json."""
 
 from __future__ import annotations
 
@@ -8,18 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
+from ..covariance_scaling import scaled
 
 Array = NDArray[np.float64]
-
-
-def correlations_of(covariance: Array) -> Array:
-    """Return the correlations (P, P); those of a number without variance are 0."""
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    known = deviation > 0.0
-    scale = np.where(known, deviation, 1.0)
-    correlation = np.where(np.outer(known, known), covariance / np.outer(scale, scale), 0.0)
-    np.fill_diagonal(correlation, 1.0)
-    return np.asarray(np.clip(correlation, -1.0, 1.0))
 
 
 def parameter_covariance(
@@ -34,5 +25,4 @@ def parameter_covariance(
     pick = [i for i, name in enumerate(names) if name in errors]
     kept = [names[i] for i in pick]
     deviation = np.array([errors[name] for name in kept])
-    matrix = correlations[np.ix_(pick, pick)] * np.outer(deviation, deviation)
-    return {"parameters": kept, "matrix": matrix}
+    return {"parameters": kept, "matrix": scaled(correlations[np.ix_(pick, pick)], deviation**2)}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...identification.comparison.compare_results import Comparison, OneSided
-from ...identification.comparison.parameter_differences import Difference, chance_text
+from ...identification.comparison.parameter_differences import Difference
 from ...identification.comparison.response_differences import (
     ModelResponse,
     PathDeviation,
@@ -23,7 +23,7 @@ from ..figures.bode import bode_magnitude, bode_phase
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Figures, Number, Part, Section, Table, Text, write_report
 from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, symbol
-from ..plotting.number_format import unit_text
+from ..plotting.number_format import chance, unit_text
 from ..plotting.style import line_of
 from .deviation_figure import deviation_figure
 
@@ -55,7 +55,7 @@ def _answer(found: Comparison) -> list[Part]:
     if found.whole is not None:
         p = found.whole[2]
         numbers.append(
-            Number(chance_text(p), "probability that chance alone makes the models differ as much")
+            Number(chance(p), "probability that chance alone makes the models differ as much")
         )
     paths = _main_paths(found)
     if paths:
@@ -179,7 +179,7 @@ def _path_row(p: PathDeviation) -> tuple[str, ...]:
         f"{p.decibel:+.2g} dB at {p.decibel_at_hz:.3g} Hz".replace("-", "−"),
         f"{p.degree:+.2g}° at {p.degree_at_hz:.3g} Hz".replace("-", "−"),
         f"{p.in_errors:.1f} at {p.in_errors_at_hz:.3g} Hz",
-        chance_text(p.p_value),
+        chance(p.p_value),
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...identification.covariance_scaling import correlation
 from ...identification.greybox.fitted_modes import natural_frequencies
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.results import ClosedLoopPoint
@@ -20,6 +21,7 @@ Complex = NDArray[np.complex128]
 
 _POINTS = 120
 _AROUND = 1.4
+"""The denser points reach from the lowest resonance over this factor to the highest times it."""
 _BEAM = "beam_m"
 _STILL = 1e-3
 """Share of its range within which a scheduling variable counts as constant."""
@@ -70,7 +72,7 @@ def fitted_curve(grey: GreyBox, place: Place, line: LineStyle, shown: Range) -> 
     slopes = [
         np.real(along * _slope(grey, place, freq_hz, name, error)) for name, error in errors.items()
     ]
-    scaled = _correlation(grey.fit.covariance)
+    scaled = correlation(grey.fit.covariance)
     J = np.array(slopes).reshape(len(slopes), *H.shape)
     variance = np.einsum("a...,ab,b...->...", J, scaled, J) if slopes else np.zeros(H.shape)
     # Figures draw CONFIDENCE deviations, which is for complex errors; this error is real.
@@ -116,12 +118,6 @@ def _slope(grey: GreyBox, place: Place, freq_hz: Array, name: str, error: float)
 
 def _changed(grey: GreyBox, name: str, value: float) -> GreyBox:
     return replace(grey, fit=replace(grey.fit, model=grey.fit.model.with_values({name: value})))
-
-
-def _correlation(covariance: Array) -> Array:
-    size = np.sqrt(np.diag(covariance))
-    size = np.where(size > 0, size, 1.0)
-    return np.asarray(covariance / size[:, None] / size)
 
 
 def _spread(grey: GreyBox, name: str) -> list[float]:

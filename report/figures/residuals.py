@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..plotting.labelled_frequency_responses import Range, pooled, symbol
+from ..plotting.number_format import chance
 from ..plotting.panel_grid import Grid, entry, new_grid
 from ..plotting.style import (
     BOUND,
@@ -115,15 +116,6 @@ def residual_correlation(
                 ax.set_xlabel("lag [samples]")
         _name(grid, residuals, names)
     return grid.figure
-
-
-def chance(p_value: float) -> str:
-    """Return a probability with two digits, a bound for tiny ones, '—' for NaN."""
-    if not np.isfinite(p_value):
-        return "—"
-    return (
-        f"{p_value:.2f}" if p_value >= 0.01 else f"{p_value:.1g}" if p_value >= 1e-4 else "< 10⁻⁴"
-    )
 
 
 def _name(grid: Grid, residuals: Sequence[Residuals], names: Sequence[str]) -> None:

@@ -13,10 +13,10 @@ from ...identification.greybox.validation import Validation
 from ...identification.results import ClosedLoopPoint
 from ...identification.subspace.response_uncertainty import SURE_95, Modes
 from ..figures.compute_fitted_response import Place, fitted_curves, places_of
-from ..figures.residuals import chance
 from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
 from ..plotting.html_page import Number, Text, Verdict
 from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, shown_range
+from ..plotting.number_format import chance
 from ..plotting.style import TRUTH, line_of
 from .closed_loop import HO_KALMAN, TRUTH_NAME, Truth
 

@@ -15,13 +15,13 @@ from ...identification.greybox.identifiability import Unidentifiable
 from ...identification.greybox.validation import Validation
 from ...identification.subspace.response_uncertainty import SURE_95
 from ..figures.bode import bode_magnitude, bode_phase
-from ..figures.residuals import Residuals, chance, residual_correlation, residual_spectra
+from ..figures.residuals import Residuals, residual_correlation, residual_spectra
 from ..figures.response_deviation import bounds_text, deviation, error_text, largest
 from ..figures.simulated_outputs import Simulated, SimulatedOutput, simulated_outputs
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
 from ..plotting.labelled_frequency_responses import Curve
-from ..plotting.number_format import interval, plain, to_interval
+from ..plotting.number_format import chance, interval, plain, to_interval
 from ..plotting.style import LineStyle, signed
 from .closed_loop import HO_KALMAN
 from .greybox import GreyBoxReport

@@ -18,7 +18,6 @@ from ..figures.nonlinear_distortion import (
     detection_levels,
     response_with_distortion,
 )
-from ..figures.residuals import chance
 from ..figures.response_deviation import ACCURACY, bounds_text, deviation, error_text, largest
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Number, Part, Section, Table, Text, Verdict
@@ -31,6 +30,7 @@ from ..plotting.labelled_frequency_responses import (
     ratio,
     shown_range,
 )
+from ..plotting.number_format import chance
 from ..plotting.style import TRUTH, line_of, position_label, signed
 from .closed_loop import TRUTH_NAME, Truth
 

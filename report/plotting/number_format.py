@@ -105,6 +105,15 @@ def plain(value: float, digits: int = 6) -> str:
     return _minus(head) + _times(int(exponent or 0))
 
 
+def chance(p_value: float) -> str:
+    """Return a probability with two digits, a bound for tiny ones, '—' for NaN."""
+    if not np.isfinite(p_value):
+        return "—"
+    return (
+        f"{p_value:.2f}" if p_value >= 0.01 else f"{p_value:.1g}" if p_value >= 1e-4 else "< 10⁻⁴"
+    )
+
+
 def times_text(ratio: float) -> str:
     """Return a multiple with three digits."""
     return f"{ratio:.3g}" if np.isfinite(ratio) else "—"

@@ -16,7 +16,6 @@ from ..plotting.html_page import (
     Number,
     Part,
     Section,
-    Steps,
     Table,
     Text,
     Verdict,
@@ -64,11 +63,7 @@ def _session_page(session: Session, out_dir: Path) -> Path:
         next_step = ("Identify the plant from the records.", command)
     words = f"{session_words(session)} {_verdict(session)}".rstrip()
     summary = (Text(words, "lead"), Next(*next_step), Figures(session_numbers(session)))
-    sections = (
-        Section("Summary", summary),
-        *session_sections(session),
-        Section("What next", (Steps((next_step,)),)),
-    )
+    sections = (Section("Summary", summary), *session_sections(session))
     return write_report(out_dir, f"Session '{session.name}'", sections)
 
 
@@ -94,24 +89,14 @@ def session_words(session: Session) -> str:
 
 
 def _verdict(session: Session) -> str:
-    """Return whether the records of a flight are good; empty if nothing tells."""
+    """Return whether the records of a flight are complete and undisturbed; empty without any."""
     records = [step for step in session.steps if step.kind == "record"]
     if not records or all(span.state is None for span in session.spans):
         return ""
-    peaks = [s.peak_gap_m for s in records if s.peak_gap_m is not None]
-    limit_m = session.gap_limit_m
-    against = [
-        *(["a coil reached its limit"] if any(s.saturated for s in records) else []),
-        *(["cycles were late"] if any(s.skipped for s in records) else []),
-        *(
-            [f"the platform came within {100 * (1 - _NEAR):.0f} % of its gap limit"]
-            if peaks and limit_m is not None and max(peaks) > _NEAR * limit_m
-            else []
-        ),
-    ]
-    if against:
-        return f"Look at the records before you use them: {listed(against)}."
-    return "The records are good: no coil reached its limit, and no cycle was late."
+    doubtful = [step.name for step in records if step.remarks]
+    if doubtful:
+        return f"See the remarks on {listed(doubtful)} before you use these records."
+    return "The records are good: complete, no fault, no coil at its limit, no cycle missed."
 
 
 def listed(words: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from short_trace_session import SESSION
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
@@ -19,29 +20,13 @@ from levid.log.reader import read_log
 
 Command = Callable[..., tuple[int, str, str]]
 K3_N_M3 = 6e8
-SESSION = """
-levid: session
-name: short
-seed: 5
-excitations:
-  psi: {input: psi, rms_n_m: 0.4}
-  theta: {input: theta, rms_n_m: 0.4}
-  z: {input: z, rms_n: 3.0}
-steps:
-  - levitate: {settle_s: 1.0}
-  - record: {name: still, duration_s: 6, settle_s: 1}
-  - record: {name: first, excite: [psi, theta, z], each_s: 5, settle_s: 1}
-  - record: {name: second, excite: [psi, theta, z], each_s: 5, settle_s: 1}
-  - land: {}
-then: [trace]
-"""
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory, run_levid: Callable[..., int]) -> Path:
     """Return logs of a plant with cubic rods; trace/ contains the results of `then: [trace]`."""
     folder = tmp_path_factory.mktemp("trace")
-    (folder / "session.yaml").write_text(SESSION)
+    (folder / "session.yaml").write_text(f"{SESSION}then: [trace]\n")
     sim = yaml.safe_load(shipped("sims/nominal.yaml").read_text())
     sim["effects"] = [
         {"use": "levid.sim.effects.stiffness:CubicRods", "dof": "z", "k3_n_m3": K3_N_M3}

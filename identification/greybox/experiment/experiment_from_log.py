@@ -15,6 +15,7 @@ from ....log.importing.signals_yaml import SignalsFile
 from ....log.reader import Log
 from ....model.controller import pi_controller
 from ....model.geometry import decoupling_matrix, shape_matrix
+from ...covariance_scaling import correlation
 from ...records.from_log import (
     EXCITATION,
     FEED_FORWARD,
@@ -34,7 +35,6 @@ from ...records.record import OTHER_STEP, IdentificationError, NotARecordError, 
 from ...records.resampling import resample
 from .control_loop import ControlLoop, imported_loop
 from .intersample_input import Hold
-from .noise_covariance_scaling import correlation
 
 Array = NDArray[np.float64]
 

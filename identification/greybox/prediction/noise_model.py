@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_discrete_are
 
+from ...covariance_scaling import correlation, scaled
 from ...records.record import IdentificationError
-from ..experiment.noise_covariance_scaling import correlation, scaled
 from . import filter_kernels
 from .discretisation import Motion, process_covariance
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..parameter_covariance import correlations_of
+from ...covariance_scaling import correlation
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
@@ -61,7 +61,7 @@ class Certainty:
         return cls(
             found,
             uncertainty.standard_errors(),
-            correlations_of(uncertainty.covariance),
+            correlation(uncertainty.covariance),
             relative_force_errors(found.point, fitted, uncertainty),
             form,
             _left_share(found, training, least, options),

@@ -53,10 +53,10 @@ def with_equals(
 ) -> tuple[WorkingPoint, tuple[Round, ...]]:
     """Return the point and the rounds, each accepted effect with those not told from it.
 
-    `point` is fitted to convergence. Rivals are those of the round in which it was accepted, and
-    those of `effects` that are equivalent to it beside all others, and the simpler laws that it
-    contains, which a Stribeck peak of 0 makes it. Where a simpler effect is not told from an
-    accepted one, it takes its place.
+    `point` is fitted to convergence. Rivals are those of the round in which it was accepted, those
+    of `effects` that are equivalent to it beside all others, and the simpler laws that it contains:
+    with a peak of 0, Stribeck friction is Coulomb friction. Where a simpler effect is not told from
+    an accepted one, it takes its place.
     """
     checked, later = list(rounds), equivalents(point, effects, records, options)
     left = gather(point, records.train(point)).excess
@@ -88,7 +88,7 @@ def with_equals(
 
 
 def _simpler(placed: Placed, effects: Sequence[Effect]) -> list[Tried]:
-    """Return the laws that an effect contains, with its numbers."""
+    """Return the simpler laws that an effect contains, with its amplitudes and shape."""
     values = dict(zip((q.name for q in placed.effect.amplitudes), placed.amplitudes, strict=True))
     return [
         Tried(law, shape, 0.0, np.zeros(1), tuple(values[q.name] for q in law.amplitudes))

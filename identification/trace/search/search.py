@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Effect
+from ...covariance_scaling import correlation
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
-from ..parameter_covariance import correlations_of
 from ..search_options import SearchOptions
 from .backward_elimination import without_guesses, without_idle
 from .effects_not_told_apart import supports, with_equals
@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 class Found:
     """The final working point, the rounds, and the residuals of training and held-out records.
 
-    errors: standard errors of [the model's parameters over scale, amplitudes and shapes]; nan of
-    what is held. correlations: theirs, 0 of what is held. supports: by identity, share of resamples
-    of the blocks that choose an effect.
+    errors (P,): standard errors of [the model's parameters over scale, amplitudes and shapes]; nan
+    of what is held. correlations (P, P): of these numbers, 0 of what is held. supports: by
+    identity, share of resamples of the blocks that choose an effect.
     """
 
     point: WorkingPoint
@@ -107,9 +107,7 @@ def _settled(
     errors = np.full(len(free), np.nan)
     errors[free] = standard_errors(train, np.flatnonzero(free))
     correlations = np.eye(len(free))
-    correlations[np.ix_(free, free)] = correlations_of(
-        covariance(train.whole, np.flatnonzero(free))
-    )
+    correlations[np.ix_(free, free)] = correlation(covariance(train.whole, np.flatnonzero(free)))
     chosen = supports(point, train, options)
     point = _with_errors(point, errors)
     return Found(point, rounds, errors, correlations, train, held, supports=chosen)

@@ -104,7 +104,7 @@ def test_page_of_a_session(logs, tmp_path):
         "Session &#39;a-session&#39;",
         "What was flown",
         "The moving beam",
-        "What next",
+        "Next:",
     ):
         assert expected in text
     assert "420 µm" in text.replace("\u00a0", " ")

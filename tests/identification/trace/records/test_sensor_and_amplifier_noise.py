@@ -14,10 +14,10 @@ from effect_test_helpers import rig_places
 
 from levid.config.model import load_model
 from levid.config.shipped import shipped
+from levid.identification.covariance_scaling import correlation
 from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.experiment.control_loop import ControlLoop
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.greybox.experiment.noise_covariance_scaling import correlation
 from levid.identification.greybox.free_run.free_run_noise_floor import motion_covariance
 from levid.identification.greybox.prediction.noise_model import Noise
 from levid.identification.greybox.prediction.prediction_errors import predict

@@ -19,6 +19,8 @@ import math
 import signal
 import sys
 import threading
+import time
+from collections import deque
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -32,6 +34,8 @@ from levid.sim.electronics.emulated_rig import Electronics
 from levid.sim.electronics.faults import AXES, InjectionError
 
 _MORE = ("nan-coil", "nan-axis", "shift", "race", "tilt")
+ENDS = 256
+"""Last periods with force of which the status has the ends, monotonic times in s."""
 _CYCLE_S = 1.0
 """Timeout of a fault that waits for the start of a cycle."""
 
@@ -47,6 +51,8 @@ class FaultInjector:
         self._cut_short = 0
         core = electronics.core
         sample, push, take_over = core._sample, core.plant.push, core.apply_setpoints
+        pass_period = core.pass_period
+        self._ends_s = deque[float](maxlen=ENDS)
 
         def sampled() -> None:
             due, self._due = self._due, None
@@ -61,12 +67,21 @@ class FaultInjector:
         def taken_over(renews: bool = True) -> None:
             acted = core.acting_n.any()
             take_over(renews)
-            self._cut_short += bool(acted and not renews and not core.acting_n.any())
+            if acted and not renews and not core.acting_n.any():
+                self._cut_short += 1
+                self._ends_s.append(time.monotonic())
+
+        def passed() -> None:
+            before = core.forced_periods
+            pass_period()
+            if core.forced_periods > before:
+                self._ends_s.append(time.monotonic())
 
         # The shipped electronics have no hooks for these faults or for parts of a period.
         core._sample = sampled  # type: ignore[method-assign]
         core.plant.push = pushed  # type: ignore[method-assign]
         core.apply_setpoints = taken_over  # type: ignore[method-assign]
+        core.pass_period = passed  # type: ignore[method-assign]
 
     def command(self, line: str) -> dict[str, Any]:
         """Carry out a line; return the state before it."""
@@ -85,6 +100,7 @@ class FaultInjector:
         before = self._electronics.status()
         # A serial device may end the force within a period; this period counts as well.
         before["forced_periods"] = self._electronics.core.forced_periods + self._cut_short
+        before["force_ends_s"] = list(self._ends_s)
         name, _, argument = line.partition(" ")
         try:
             if name in _MORE:

@@ -14,11 +14,13 @@ import math
 import os
 import socket
 import time
+from collections import deque
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from levid.benchmarks.daemon.fault_injecting_electronics import ENDS
 from levid.drivers.base import (
     AmplifierError,
     Context,
@@ -40,8 +42,7 @@ REPORTED: dict[str, type[DriverError]] = {
     "disconnect": LinkError,
 }
 """Faults that the backend reports, as a driver would."""
-_AXES = ("x1", "x2", "phi")
-_MOST_BYTES = 4096
+_MOST_BYTES = 1 << 14
 _ANSWER_S = 1.0
 
 
@@ -54,6 +55,7 @@ class FaultInjectingLoopback(LoopbackBackend):
         self._faults: dict[str, str] = {}
         self._raced_m = 0.0
         self._forced_periods = 0
+        self._ends_s = deque[float](maxlen=ENDS)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         path = _backend_socket(context.folder)
@@ -68,6 +70,7 @@ class FaultInjectingLoopback(LoopbackBackend):
         super().sync(cycle, late_s)
         if acts:
             self._forced_periods += cycle - before
+            self._ends_s += [time.monotonic()] * (cycle - before)
         self._spoil()
 
     def recover(self) -> None:
@@ -91,6 +94,7 @@ class FaultInjectingLoopback(LoopbackBackend):
             "pid": os.getpid(),
             "acting_n": self._acting.coil_n.tolist(),
             "forced_periods": self._forced_periods,
+            "force_ends_s": list(self._ends_s),
         }
         name, _, argument = line.partition(" ")
         if name == "clear":
@@ -112,7 +116,7 @@ class FaultInjectingLoopback(LoopbackBackend):
         if "nan-coil" in faults:
             plant.coil_readback_n[int(faults["nan-coil"])] = math.nan
         if "nan-axis" in faults:
-            axis = plant.rotor if _AXES.index(faults["nan-axis"]) == 2 else plant.beam
+            axis = plant.rotor if faults["nan-axis"] == "phi" else plant.beam
             axis[0] = math.nan
         for name in faults.keys() & REPORTED.keys():
             raise REPORTED[name](f"{name} {faults[name]} (injected)")

@@ -93,9 +93,8 @@ class Rig:
         self.socket, self.file = folder / "levid.sock", folder / "rig.yaml"
         self.pids: dict[str, int] = {}
         self.signalled_s = 0.0
-        """Monotonic time at which a process got its last signal."""
-        self.dying_s = 0.0
-        """Time that the kernel took to end all threads of the supervisor that was killed last."""
+        """Monotonic time at which the last signal took effect; a killed supervisor has ended."""
+        self._force_ends_s: list[float] = []
         self._client: socket.socket | None = None
         self._processes = contextlib.ExitStack()
         self.file.write_text(yaml.safe_dump(rig_of(bus, folder, **more)))
@@ -147,6 +146,11 @@ class Rig:
         Raises:
             NotInjectedError: the electronics refuse it.
         """
+        answer = self._say(line)
+        self._force_ends_s = answer.get("force_ends_s", self._force_ends_s)
+        return answer
+
+    def _say(self, line: str) -> Status:
         if self._loopback is not None:
             return self._say_to_loop(self._loopback, line)
         assert self._electronics is not None
@@ -251,16 +255,19 @@ class Rig:
         again = self.forced_periods() - ended
         return ended - since, f"force acts again, for {again} cycles" if again else ""
 
+    def forced_since_signal(self) -> int:
+        """Return the periods with force that ended after the last signal took effect."""
+        return sum(end_s > self.signalled_s for end_s in self._force_ends_s)
+
     @contextlib.contextmanager
     def signalled(self, process: str, how: str) -> Iterator[int]:
         """Kill or stop a process, and let it continue afterwards; yields its number."""
         pid = self.pids[process]
-        begin_s = time.monotonic()
         os.kill(pid, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
-        self.signalled_s = time.monotonic()
         if (process, how) == ("supervisor", "killed"):
+            # The loop sees its parent's end when the kernel has ended its last thread: 30 to 80 ms.
             wait_for(lambda: _parent(self.pids["loop"]) != pid, every_s=1e-3)
-        self.dying_s = time.monotonic() - begin_s
+        self.signalled_s = time.monotonic()
         try:
             yield pid
         finally:

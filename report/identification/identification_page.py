@@ -106,7 +106,7 @@ def identification_report(
     others = [p for p in points if isinstance(p, OpenLoopPoint)]
     chapters: list[_Chapter] = []
     if grey is not None:
-        chapters.append(_grey_box_chapter(grey, closed, signals, truth, session))
+        chapters.append(_grey_box_chapter(grey, closed, signals, truth, session, out_dir))
     if any(p.subspace for p in closed):
         chapters.append(_subspace_chapter(closed, signals, truth))
     if closed:
@@ -291,6 +291,7 @@ def _grey_box_chapter(
     signals: SignalLabels,
     truth: Truth | None,
     session: Session | None,
+    out_dir: Path,
 ) -> _Chapter:
     report = grey_box_report(grey, points, signals, truth)
     return _Chapter(
@@ -300,7 +301,7 @@ def _grey_box_chapter(
         grey_box_words(report),
         grey_box_numbers(report),
         grey_box_sections(report),
-        _after_grey_box(report, truth, session),
+        _after_grey_box(report, truth, session, out_dir),
     )
 
 
@@ -397,7 +398,7 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
 
 
 def _after_grey_box(
-    report: GreyBoxReport, truth: Truth | None, session: Session | None
+    report: GreyBoxReport, truth: Truth | None, session: Session | None, out_dir: Path
 ) -> list[tuple[str, str]]:
     fit, steps = report.grey.fit, list[tuple[str, str]]()
     least, tests = least_chance(report)
@@ -422,7 +423,8 @@ def _after_grey_box(
             (f"Check {listed(list(fit.at_bound))}: the fit ended at a bound of the model file.", "")
         )
     if not steps:
-        steps.append(("Use the fitted model: DIR/model.yaml is a model file for --model.", ""))
+        file = out_dir / "model.yaml"
+        steps.append((f"Use {file} as --model of the next identification or trace.", ""))
     return steps
 
 

@@ -23,7 +23,8 @@ from ..plotting.html_page import (
 )
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.min_max_bins import all_samples
-from ..plotting.style import engineering, signed
+from ..plotting.number_format import amount
+from ..plotting.style import signed
 from .cycle_times import quantile_s, timing_histogram
 from .flight_data import Session, StepFlown, read_session
 from .pose_during_beam_moves import beam_trajectory
@@ -120,13 +121,11 @@ def session_numbers(session: Session) -> tuple[Number, ...]:
 
 
 def _farthest(peak_m: float, limit_m: float | None) -> Number:
-    factor, prefix = engineering(peak_m)
-    value, words = f"{factor * peak_m:.3g} {prefix}m", "largest reading of a gap sensor in a record"
+    value, words = amount(peak_m, "m"), "largest reading of a gap sensor in a record"
     if limit_m is None:
         return Number(value, words)
     near = peak_m > _NEAR * limit_m
-    limit = f"{factor * limit_m:.3g} {prefix}m"
-    return Number(value, f"{words}; limit {limit}", "bad" if near else "good")
+    return Number(value, f"{words}; limit {amount(limit_m, 'm')}", "bad" if near else "good")
 
 
 def session_sections(session: Session) -> tuple[Section, ...]:

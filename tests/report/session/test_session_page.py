@@ -13,6 +13,7 @@ from levid.log.errors import LogError
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter
 from levid.report.plotting.figure_to_svg import to_svg
+from levid.report.session import session_page
 from levid.report.session.flight_data import read_session
 from levid.report.session.session_page import session_report, session_words
 from levid.report.session.time_plot import session_plot
@@ -92,6 +93,11 @@ def test_session_is_reported_as_flown(logs):
     assert "The session excited ψ in turn, with the beam at −100" in session_words(session)
 
 
+def test_limit_of_the_gap_has_a_prefix_of_its_own():
+    small = session_page._farthest(7.93e-7, 8.5e-4)
+    assert (small.value, small.meaning.partition("; ")[2]) == ("793 nm", "limit 850 µm")
+
+
 def test_logs_in_any_order_give_the_same_session(logs):
     forward, backward = read_session(logs), read_session(logs[::-1])
     assert to_svg(session_plot(forward)) == to_svg(session_plot(backward))
@@ -153,6 +159,8 @@ def test_problems_give_remarks(tmp_path):
     text = session_report([path], tmp_path / "out").read_text(encoding="utf-8")
     assert "a coil at its limit in 3 cycles" in text
     assert text.count('class="bad"') == 2
+    assert "See the remarks on x before you use these records." in text
+    assert "The records are good" not in text
 
 
 def test_truncated_log_is_drawn_up_to_its_end(logs, tmp_path):

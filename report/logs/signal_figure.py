@@ -59,7 +59,7 @@ def time_figure_of_logs(
         LogError: there are too many panels or logs.
     """
     begun = {name: _since_begin(signals) for name, signals in logs.items()}
-    panels = _panels_of_logs(begun)
+    panels = _panels_of_logs(begun, lambda s: s.signal)
     return _over_time(panels, list(logs), "time since the log began [s]", sheet)
 
 
@@ -76,7 +76,7 @@ def spectrum_figure_of_logs(
     Raises:
         LogError: there are too many panels or logs.
     """
-    return _spectra(_panels_of_logs(logs), list(logs), sheet)
+    return _spectra(_panels_of_logs(logs, lambda s: s.signal), list(logs), sheet)
 
 
 def _over_time(
@@ -178,10 +178,20 @@ def _panels(items: Sequence[_T], signal_of: Callable[[_T], Signal]) -> list[list
     return _few(panels)
 
 
-def _panels_of_logs(logs: Mapping[str, Sequence[_T]]) -> list[list[_T]]:
-    """Group the signals of logs, which are the same, by signal."""
+def _panels_of_logs(
+    logs: Mapping[str, Sequence[_T]], signal_of: Callable[[_T], Signal]
+) -> list[list[_T]]:
+    """Group the signals of logs by signal; raise LogError if they are not the same ones."""
     if len(logs) > _MOST_LOGS:
         raise LogError(f"expected at most {_MOST_LOGS} logs in a figure, found {len(logs)}")
+    names = {name: [signal_of(s).name for s in signals] for name, signals in logs.items()}
+    first = next(iter(names))
+    for name, own in names.items():
+        if own != names[first]:
+            other = ", ".join(sorted(set(own) ^ set(names[first])))
+            raise LogError(
+                f"expected the same signals in all logs; only one of {first} and {name} has {other}"
+            )
     return _few([list(same) for same in zip(*logs.values(), strict=True)])
 
 

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from levid.log.errors import LogError
 from levid.log.log_stream import LogStream
 from levid.log.writer import LogWriter
 from levid.report.logs.signal_data import named_columns, signal_spectra, signals_over_time
+from levid.report.logs.signal_figure import time_figure_of_logs
 
 RATE_HZ = 1000.0
 
@@ -106,6 +108,13 @@ def test_a_log_twice_or_without_the_signal_is_an_error(
     code, _, err = levid("plot", log, other, "pose")
     assert code == 1
     assert "pose" in err
+
+
+def test_logs_of_rigs_with_other_numbers_of_sensors_are_an_error(log: Path) -> None:
+    stream = LogStream(log)
+    three = signals_over_time(stream, named_columns(stream, ["gap_m"]))
+    with pytest.raises(LogError, match="only one of a and b has gap_m_2"):
+        time_figure_of_logs({"a": three, "b": three[:2]})
 
 
 def test_wrong_names_and_ranges_are_errors(

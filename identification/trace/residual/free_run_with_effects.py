@@ -7,6 +7,7 @@ converges.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,6 +40,8 @@ Array = NDArray[np.float64]
 _MAX_ITERATIONS = 60
 _SETTLED = 1e-2
 """Rms change of the readings at convergence, over the sensors' noise or the simulation's error."""
+_TRIED = 5
+"""Steps that tell at which rate they converge."""
 _KEPT = 60
 """Steps that the next one is extrapolated from. A lightly damped mass on a spring takes as many."""
 
@@ -77,60 +80,95 @@ def free_run(
     Raises IdentificationError for a closed loop without a zero-order hold at the input.
     """
     require_held(record.experiment, point.hold)
-    if not point.placed:
-        return _iterated(point, record, sensor_sd, DampedSteps())
-    run = _iterated(point, record, sensor_sd, DampedSteps())
-    if run.settled:
-        return run
+    iteration = _Iteration(point, record, sensor_sd)
+    damped = DampedSteps()
+    iteration.advance(damped, while_promising=True)
+    if iteration.settled:
+        return iteration.result()
     # The jump of a friction converges in damped steps; a mass on a spring, a long memory, does not.
-    other = _iterated(point, record, sensor_sd, AndersonMixing(_KEPT))
-    return min(run, other, key=lambda r: (not r.settled, r.change))
+    mixed = copy(iteration)
+    mixed.advance(AndersonMixing(_KEPT))
+    if not mixed.settled:
+        iteration.advance(damped)
+    return min(iteration, mixed, key=lambda i: (not i.settled, i.change)).result()
 
 
-def _iterated(
-    point: WorkingPoint,
-    record: TraceRecord,
-    sensor_sd: Array | None,
-    steps: DampedSteps | AndersonMixing,
-) -> EffectFreeRun:
-    e = record.experiment
-    at = motion(point.model, e, point.hold)
-    first = first_row(e)
-    _, added = filtered(point, record, at)
-    offset, state = _start(point, record, added, first)
-    q_given = e.y if added.gap is None else e.y - added.gap @ record.places.decoupling.T
-    at = settled(at, offset)
-    sd = point.disturbance.sensor_sd if sensor_sd is None else sensor_sd
-    q, u = _simulate(point, record, at, added, first, state, q_given)
-    before: Signals | None = None
-    change, converged = np.inf, not point.placed
-    for _ in range(_MAX_ITERATIONS if point.placed else 0):
-        if not np.all(np.isfinite(q)):
-            break
-        coil = record.coil
+class _Iteration:
+    """The fixed-point iteration of one record: trajectory q (N, n), commands u (N, p), and change.
+
+    change: last rms change of the readings, in noise deviations. settled: whether it converged.
+    """
+
+    def __init__(self, point: WorkingPoint, record: TraceRecord, sensor_sd: Array | None) -> None:
+        e = record.experiment
+        at = motion(point.model, e, point.hold)
+        self._point, self._record, self._first = point, record, first_row(e)
+        _, self._added = filtered(point, record, at)
+        offset, self._state = _start(point, record, self._added, self._first)
+        seen = self._added.gap
+        self._given = e.y if seen is None else e.y - seen @ record.places.decoupling.T
+        self._at = settled(at, offset)
+        sd = point.disturbance.sensor_sd if sensor_sd is None else sensor_sd
+        self._sensors = record.places.sensor_shape / np.reshape(sd, (-1, 1))
+        # A pose times this has the size of the readings that it gives, in fewer numbers.
+        self._size = np.asarray(np.linalg.qr(self._sensors, mode="r"))
+        self._q, self._u = self._simulated()
+        self._before: Signals | None = None
+        self._changes: tuple[float, ...] = ()
+        self.settled = not point.placed
+
+    @property
+    def change(self) -> float:
+        return self._changes[-1] if self._changes else np.inf
+
+    def advance(self, steps: DampedSteps | AndersonMixing, while_promising: bool = False) -> None:
+        """Iterate until it converges, or for so many steps; or while these promise to be enough."""
+        begun = 0 if isinstance(steps, DampedSteps) else len(self._changes)
+        while not self.settled and len(self._changes) - begun < _MAX_ITERATIONS:
+            if not np.all(np.isfinite(self._q)) or (while_promising and not self._promising()):
+                break
+            self._step(steps)
+
+    def result(self) -> EffectFreeRun:
+        gap = self._q @ self._record.places.sensor_shape.T
+        if self._added.gap is not None:
+            gap = gap + self._added.gap
+        return EffectFreeRun(gap, self._q, self._first, self.settled, self.change)
+
+    def _step(self, steps: DampedSteps | AndersonMixing) -> None:
+        point, record, q, u = self._point, self._record, self._q, self._u
+        e, coil = record.experiment, record.coil
         if e.loop is not None:
             coil = record.coil_excitation + _shared(record, u)
         signals = trajectory(record, q, coil, point.lag_s)
-        added = together(point.placed, signals)
-        slopes = _slopes(point, signals, before, added)
-        next_q, next_u = _simulate(point, record, at, added, first, state, q_given)
+        self._added = together(point.placed, signals)
+        slopes = _slopes(point, signals, self._before, self._added)
+        next_q, next_u = self._simulated()
         if slopes is not None and np.all(np.isfinite(next_q)):
             move = next_q - q
             more_q, more_u = _newton_correction(
-                point, record, at, slopes, move, rate(move, e.Ts_s), first
+                point, record, self._at, slopes, move, rate(move, e.Ts_s), self._first
             )
             next_q, next_u = next_q + more_q, next_u + more_u
-        step = (next_q - q) @ record.places.sensor_shape.T / sd
-        change, before = _rms(step), signals
-        error = _rms(((e.y - next_q) @ record.places.sensor_shape.T / sd)[first:])
-        converged = change < _SETTLED * max(error, 1.0)
-        q, u = steps.next((q, u), (next_q, next_u), step)
-        if converged:
-            break
-    gap = q @ record.places.sensor_shape.T
-    if added.gap is not None:
-        gap = gap + added.gap
-    return EffectFreeRun(gap, q, first, converged, change)
+        self._changes = (*self._changes, _rms((next_q - q) @ self._sensors.T))
+        self._before = signals
+        error = _rms(((e.y - next_q) @ self._sensors.T)[self._first :])
+        self._within = _SETTLED * max(error, 1.0)
+        self.settled = self.change < self._within
+        self._q, self._u = steps.next((q, u), (next_q, next_u), (next_q - q) @ self._size.T)
+
+    def _promising(self) -> bool:
+        """Return whether steps that go on as the last ones converge within their number."""
+        if len(self._changes) <= _TRIED:
+            return True
+        per_step = (self._changes[-1] / self._changes[-1 - _TRIED]) ** (1.0 / _TRIED)
+        left = _MAX_ITERATIONS - len(self._changes)
+        return bool(self._changes[-1] * per_step**left < self._within)
+
+    def _simulated(self) -> tuple[Array, Array]:
+        return _simulate(
+            self._point, self._record, self._at, self._added, self._first, self._state, self._given
+        )
 
 
 def _rms(values: Array) -> float:

@@ -19,7 +19,7 @@ CLASSES = {
     "beam_motion", "cogging", "rotor", "coil_gain", "force_constant", "actuator_lag", "delay",
     "dead_zone", "force_offset", "thermal_drift", "saturation", "sensor_gain", "sensor_offset",
     "sensor_nonlinearity", "sensor_crosstalk", "sensor_lag", "sensor_stuck", "vibration",
-    "external_field", "sensor_scale", "coil_scale", "arm_length",
+    "external_field", "sensor_scale", "coil_scale", "arm_length", "backlash",
 }  # fmt: skip
 """Effect classes that `levid trace` can report on the rig, apart from `unknown`."""
 DT_S, R_M, BEAM_Z_M = 1e-4, 0.12, 0.06

@@ -227,6 +227,9 @@ _KNOWN: dict[str, Callable[[Values], list[Known]]] = {
     "BearingPresliding": lambda v: _at(
         None, "friction.bearing", m=v["m_b_kg"] * _BEAM_M**2, height=_BEAM_M
     ),
+    "BearingPlay": lambda v: _at(
+        None, "backlash.bearing", m=v["m_b_kg"] * _BEAM_M**2, half=0.5 * v["play_m"] / _BEAM_M
+    ),
     "MotorFriction": lambda v: (
         _at(["beam"], "friction.beam", friction=v["coulomb_n"], v_s=v["speed_m_s"])
         + _at(["beam"], "friction.beam_presliding", friction=v["coulomb_n"])

@@ -246,6 +246,9 @@ class Quantity:
     high: float = np.inf
     log: bool = False
     """Whether a search takes steps in the logarithm of the value."""
+    difference: float = 1e-3
+    """Relative change with which such a value's derivatives are computed: more, where each bounce
+    off a stop comes otherwise after the last one came a little otherwise."""
 
 
 Reshape = Callable[[Sequence[float], Sequence[float]], tuple[float, ...]]

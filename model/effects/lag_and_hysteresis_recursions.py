@@ -239,6 +239,21 @@ def yielding(
     return np.asarray(shift), np.asarray(spring)
 
 
+def between_stops(
+    q: Array, qd: Array, pull: Array, w: float, zeta: float, half: float, Ts_s: float
+) -> tuple[Array, Array]:
+    """Return shift x of a unit mass between two stops, and the contact force on it (N,).
+
+    x'' = pull - q'' - f, f = w^2 p + 2 zeta w x', p = x - clip(x, -half, half); a contact does not
+    pull: f is zero where it has not the sign of p. The mass starts in the middle, or in equilibrium
+    on the stop to which it is pulled. Integration as in `yielding`.
+    """
+    parts = max(math.ceil(w * Ts_s / _RADIANS), 1)
+    q, qd, pull = (np.ascontiguousarray(v) for v in (q, qd, pull))
+    shift, contact = _between_stops(q, qd, pull, w, zeta, half, Ts_s / parts, parts)
+    return np.asarray(shift), np.asarray(contact)
+
+
 def _before(x: Array, Ts_s: float) -> int:
     return min(round(_BEFORE_S / Ts_s), len(x))
 
@@ -398,20 +413,52 @@ def _yielding(q, qd, pull, w, zeta, slips, dt_s, parts):  # type: ignore[no-unty
                 shift[k] = x
                 taken[k] = w * w * r + 2 * zeta * w * (0.5 * (before + rate) - carrier)
             p += dt_s * rate
-            share = (i + 1) / parts
-            # Cubic Hermite interpolation: the kinks of a linear one would excite the resonance.
-            rest = 1 - share
-            carried_by = rest * rest * ((1 + 2 * share) * q[k] + share * parts * dt_s * qd[k])
-            carried_by += (
-                share * share * ((1 + 2 * rest) * q[later] - rest * parts * dt_s * qd[later])
-            )
-            now = p - carried_by
+            now = p - _on_cubic(q, qd, k, later, (i + 1) / parts, parts * dt_s)
             r = 0.0
             for j in range(len(slips)):
                 elements[j] = min(max(elements[j] + now - x, -slips[j]), slips[j])
                 r += elements[j] / len(slips)
             x = now
     return shift, taken
+
+
+@njit(cache=True, nogil=True)
+def _between_stops(q, qd, pull, w, zeta, half, dt_s, parts):  # type: ignore[no-untyped-def]
+    shift, contact = np.empty_like(q), np.empty_like(q)
+    x = half * np.sign(pull[0]) + pull[0] / (w * w)
+    p, rate = q[0] + x, qd[0]
+    damp = zeta * w * dt_s
+    for k in range(len(q)):
+        later = min(k + 1, len(q) - 1)
+        for i in range(parts):
+            share, before = i / parts, rate
+            carrier = qd[k] + share * (qd[later] - qd[k])
+            outer = pull[k] + share * (pull[later] - pull[k])
+            pressed = x - min(max(x, -half), half)
+            rate = before + dt_s * outer
+            force = 0.0
+            if pressed != 0.0:
+                touching = (1 - damp) * before + dt_s * (outer - w * w * pressed)
+                touching = (touching + 2 * damp * carrier) / (1 + damp)
+                force = w * w * pressed + 2 * zeta * w * (0.5 * (before + touching) - carrier)
+                if force * pressed > 0.0:
+                    rate = touching
+                else:
+                    force = 0.0
+            if i == 0:
+                shift[k], contact[k] = x, force
+            p += dt_s * rate
+            x = p - _on_cubic(q, qd, k, later, (i + 1) / parts, parts * dt_s)
+    return shift, contact
+
+
+@njit(cache=True, nogil=True)
+def _on_cubic(q, qd, k, later, share, period_s):  # type: ignore[no-untyped-def]
+    """Cubic Hermite interpolation: the kinks of a linear one would excite a resonance."""
+    rest = 1 - share
+    return rest * rest * ((1 + 2 * share) * q[k] + share * period_s * qd[k]) + share * share * (
+        (1 + 2 * rest) * q[later] - rest * period_s * qd[later]
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -100,6 +100,7 @@ _CLAUSES = {
     "damping.asymmetric": "the damping of {at} differs between the two directions",
     "friction.beam_chain": "the beam's cable chain drags on {at}",
     "friction.bearing": "the beam's bearing has friction",
+    "backlash.bearing": "the beam has play in its bearings",
     "friction.beam_tilt": "the friction of the beam depends on the tilt",
     "friction.beam_presliding": "friction with an elastic start acts on {at}",
     "friction.dahl": "friction with an elastic start acts on {at}",

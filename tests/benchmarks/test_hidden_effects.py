@@ -241,8 +241,8 @@ def test_each_case_loads_at_each_size(case) -> None:
     assert (case.kind == "unknown") == bool(case.signals)
 
 
-# Swapped channels are for `levid commission`: a flight ends at once. Play of the beam has no law.
-NOT_TRACED = {"wiring:Wiring", "bearing:BearingPlay"}
+# Swapped channels are for `levid commission`: a flight ends at once.
+NOT_TRACED = {"wiring:Wiring"}
 
 
 def test_each_shipped_effect_is_in_the_zoo() -> None:

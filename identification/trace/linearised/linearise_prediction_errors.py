@@ -190,9 +190,8 @@ def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
     """Return the terms of an effect's amplitudes, then the derivatives by its shape parameters."""
     terms = placed.effect.build(signals, placed.shape)
     for i, quantity in enumerate(placed.effect.shape):
-        step = (
-            1e-3 * abs(placed.shape[i]) if quantity.log else 1e-6 * (quantity.high - quantity.low)
-        )
+        span, value = quantity.high - quantity.low, abs(placed.shape[i])
+        step = quantity.difference * value if quantity.log else 1e-6 * span
         low, high = list(placed.shape), list(placed.shape)
         low[i], high[i] = max(low[i] - step, quantity.low), min(high[i] + step, quantity.high)
         lower, upper = (

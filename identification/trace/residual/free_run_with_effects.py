@@ -163,7 +163,7 @@ class _Iteration:
             return True
         per_step = (self._changes[-1] / self._changes[-1 - _TRIED]) ** (1.0 / _TRIED)
         left = _MAX_ITERATIONS - len(self._changes)
-        return bool(self._changes[-1] * per_step**left < self._within)
+        return bool(per_step < 1.0 and self._changes[-1] * per_step**left < self._within)
 
     def _simulated(self) -> tuple[Array, Array]:
         return _simulate(

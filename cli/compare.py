@@ -119,7 +119,6 @@ def words(found: Comparison) -> list[str]:
 
 
 def _response_lines(response: ResponseComparison) -> list[str]:
-
     at = ", ".join(f"{name} = {value:g}" for name, value in response.schedule.items())
     low, high = response.freq_hz[0], response.freq_hz[-1]
     lines = [f"largest deviation of B from A, {low:.3g} to {high:.3g} Hz{f', {at}' if at else ''}:"]

@@ -22,18 +22,16 @@ import math
 from collections.abc import Sequence
 from functools import partial
 
-from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .base import Array, Effect, Places, Quantity, Signals, Term
+from .beam_bearing_presliding import ACROSS, ALONG, HEIGHT_M, beam_on_bearing
 from .lag_and_hysteresis_recursions import between_stops
 from .operating_range import Extent
 
-_ALONG, _ACROSS = 1, 0
-"""DOF of the tilts that shift the beam along and across its rails."""
 _CONTACT = (60.0, 0.1)
 """Start values: frequency of a contact in Hz and its damping ratio, beside those of the resonance
 that small motions show."""
 _HALVES = (0.003, 0.01, 0.03)
 """Start values of half the gap over the RMS tilt of the liveliest record."""
-_HEIGHT_M = 0.1
 _COARSE = 0.05
 """Of a beam that bounces, derivatives are of what it does on average."""
 
@@ -43,7 +41,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     if not places.beam:
         return []
     found = []
-    for i in (_ALONG, _ACROSS):
+    for i in (ALONG, ACROSS):
         unit, reach = places.dof_units[i], extent.reach[i]
         seen = tuple((f, zeta) for at, f, zeta in extent.dof_resonances if at == i)
         found.append(
@@ -66,7 +64,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     Quantity("height", "m", 0.01, 1.0, log=True, difference=_COARSE),
                 ),
                 tuple(
-                    (f, zeta, half * reach, _HEIGHT_M)
+                    (f, zeta, half * reach, HEIGHT_M)
                     for f, zeta in (*seen, _CONTACT)
                     for half in _HALVES
                 ),
@@ -79,10 +77,9 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 def _shifted(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     frequency, damping, half, height = shape
-    q, qd, g = signals.q[:, dof], signals.qd[:, dof], signals.gravity_m_s2
-    pull = g * q + signals.a_b_m_s2 if dof == _ALONG else g * q
-    x, contact = between_stops(
-        q, qd, pull / height, 2 * math.pi * frequency, damping, half, signals.Ts_s
-    )
-    # The declared model contains the weight and the acceleration force of a rigidly mounted beam.
-    return [on_dof(signals, dof, contact - pull / height + g / height * x)]
+    w = 2 * math.pi * frequency
+
+    def bearing(q: Array, qd: Array, pull: Array) -> tuple[Array, Array]:
+        return between_stops(q, qd, pull, w, damping, half, signals.Ts_s)
+
+    return [beam_on_bearing(signals, dof, height, bearing)]

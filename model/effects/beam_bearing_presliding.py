@@ -16,19 +16,22 @@ moment of inertia of that axis (J_psi or J_theta) must not contain m as well.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
-from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import yielding
 from .operating_range import Extent
 
-_ALONG, _ACROSS = 1, 0
+Bearing = Callable[[Array, Array, Array], tuple[Array, Array]]
+
+ALONG, ACROSS = 1, 0
 """DOF of the tilts that shift the beam along and across its rails."""
 _START = ((15.0, 0.1, 2.0), (30.0, 0.1, 2.0), (60.0, 0.1, 2.0), (15.0, 0.2, 20.0))
 """Start values: frequency in Hz, damping ratio, and shift of full slip over the RMS tilt (small:
 the spring slips; large: it is almost elastic)."""
-_HEIGHT_M = 0.1
+HEIGHT_M = 0.1
+"""Start value of the height of the beam above the tilt axis."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
@@ -36,7 +39,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     if not places.beam:
         return []
     found = []
-    for i in (_ALONG, _ACROSS):
+    for i in (ALONG, ACROSS):
         unit, reach = places.dof_units[i], extent.reach[i]
         found.append(
             Effect(
@@ -56,7 +59,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     Quantity("x_s", unit, 1e-2 * reach, 100.0 * reach, log=True),
                     Quantity("height", "m", 0.01, 1.0, log=True),
                 ),
-                tuple((f, zeta, slip * reach, _HEIGHT_M) for f, zeta, slip in _START),
+                tuple((f, zeta, slip * reach, HEIGHT_M) for f, zeta, slip in _START),
                 absorbed_by="far below its frequency: mass; the model's J does not include m",
                 told_apart_by="tilt excitation at several amplitudes, up to its frequency",
             )
@@ -64,11 +67,24 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
+def beam_on_bearing(signals: Signals, dof: int, height_m: float, bearing: Bearing) -> Term:
+    """Return the generalised force of a unit inertia that a bearing carries when `dof` tilts.
+
+    `bearing` returns the shift (N,) of the beam, in units of the DOF, and the bearing's force on it
+    (N,) per inertia, for the tilt and its rate (N,) and the pull (N,) on the beam per inertia.
+    """
+    q, qd, g = signals.q[:, dof], signals.qd[:, dof], signals.gravity_m_s2
+    pull = (g * q + signals.a_b_m_s2 if dof == ALONG else g * q) / height_m
+    x, force = bearing(q, qd, pull)
+    # The declared model contains the weight and the acceleration force of a rigidly mounted beam.
+    return on_dof(signals, dof, force - pull + g / height_m * x)
+
+
 def _shifted(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     frequency, damping, x_s, height = shape
-    q, qd, g = signals.q[:, dof], signals.qd[:, dof], signals.gravity_m_s2
-    pull = g * q + signals.a_b_m_s2 if dof == _ALONG else g * q
     w = 2 * math.pi * frequency
-    x, spring = yielding(q, qd, pull / height, w, damping, x_s, signals.Ts_s)
-    # The declared model contains the weight and the acceleration force of a rigidly mounted beam.
-    return [on_dof(signals, dof, spring - pull / height + g / height * x)]
+
+    def bearing(q: Array, qd: Array, pull: Array) -> tuple[Array, Array]:
+        return yielding(q, qd, pull, w, damping, x_s, signals.Ts_s)
+
+    return [beam_on_bearing(signals, dof, height, bearing)]

@@ -11,6 +11,19 @@ Array = NDArray[np.float64]
 
 _OSCILLATION_RATIO = 0.7
 _MIN_STEP = 0.1
+_LAST = 5
+"""Steps that tell at which rate an iteration converges."""
+
+
+def settles(changes: Sequence[float], steps: int, within: float) -> bool:
+    """Return whether so many more steps like the last ones bring the change below `within`.
+
+    changes: of all steps before; a few steps tell nothing yet.
+    """
+    if len(changes) <= _LAST:
+        return True
+    per_step = (changes[-1] / changes[-1 - _LAST]) ** (1.0 / _LAST)
+    return bool(per_step < 1.0 and changes[-1] * per_step**steps < within)
 
 
 class DampedSteps:

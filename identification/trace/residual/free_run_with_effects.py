@@ -33,15 +33,13 @@ from ..linearised.intersample_moments import force_moments
 from ..linearised.linearisation_point import WorkingPoint, corrected_experiment, filter_of, filtered
 from ..records.effect_signals import rate, trajectory
 from ..records.record_from_log import TraceRecord
-from .fixed_point_iteration import AndersonMixing, DampedSteps
+from .fixed_point_iteration import AndersonMixing, DampedSteps, settles
 
 Array = NDArray[np.float64]
 
 _MAX_ITERATIONS = 60
 _SETTLED = 1e-2
 """Rms change of the readings at convergence, over the sensors' noise or the simulation's error."""
-_TRIED = 5
-"""Steps that tell at which rate they converge."""
 _KEPT = 60
 """Steps that the next one is extrapolated from. A lightly damped mass on a spring takes as many."""
 
@@ -115,6 +113,7 @@ class _Iteration:
         self._q, self._u = self._simulated()
         self._before: Signals | None = None
         self._changes: tuple[float, ...] = ()
+        self._within = 0.0
         self.settled = not point.placed
 
     @property
@@ -124,8 +123,9 @@ class _Iteration:
     def advance(self, steps: DampedSteps | AndersonMixing, while_promising: bool = False) -> None:
         """Iterate until it converges, or for so many steps; or while these promise to be enough."""
         begun = 0 if isinstance(steps, DampedSteps) else len(self._changes)
-        while not self.settled and len(self._changes) - begun < _MAX_ITERATIONS:
-            if not np.all(np.isfinite(self._q)) or (while_promising and not self._promising()):
+        while not self.settled and np.all(np.isfinite(self._q)):
+            left = _MAX_ITERATIONS - (len(self._changes) - begun)
+            if left == 0 or (while_promising and not settles(self._changes, left, self._within)):
                 break
             self._step(steps)
 
@@ -156,14 +156,6 @@ class _Iteration:
         self._within = _SETTLED * max(error, 1.0)
         self.settled = self.change < self._within
         self._q, self._u = steps.next((q, u), (next_q, next_u), (next_q - q) @ self._size.T)
-
-    def _promising(self) -> bool:
-        """Return whether steps that go on as the last ones converge within their number."""
-        if len(self._changes) <= _TRIED:
-            return True
-        per_step = (self._changes[-1] / self._changes[-1 - _TRIED]) ** (1.0 / _TRIED)
-        left = _MAX_ITERATIONS - len(self._changes)
-        return bool(per_step < 1.0 and self._changes[-1] * per_step**left < self._within)
 
     def _simulated(self) -> tuple[Array, Array]:
         return _simulate(

@@ -21,11 +21,7 @@ from levid.identification.trace.linearised.linearisation_point import WorkingPoi
 from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
 from levid.identification.trace.residual.free_run_error import pooled, record_error
-from levid.identification.trace.residual.free_run_with_effects import (
-    EffectFreeRun,
-    _Iteration,
-    free_run,
-)
+from levid.identification.trace.residual.free_run_with_effects import EffectFreeRun, free_run
 from levid.model.controller import pi_controller
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.candidate_effects import all_effects
@@ -232,13 +228,3 @@ def test_closed_loop_without_zoh_input_is_rejected() -> None:
     record = made("none", 2.0, loop=True)
     with pytest.raises(IdentificationError, match="'made': expected input: zoh in a closed loop"):
         free_run(point("band_limited"), record)
-
-
-def test_steps_that_move_away_are_not_promising():
-    """A rate of 1e7 to the power of the steps left is no number."""
-    iteration = _Iteration.__new__(_Iteration)
-    iteration._within = 1e-2
-    iteration._changes = tuple(10.0 ** (7 * k) for k in range(7))
-    assert not iteration._promising()
-    iteration._changes = tuple(0.5**k for k in range(7))
-    assert iteration._promising()

@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from typing import Any
 
@@ -60,12 +60,24 @@ class Result:
         )
 
 
-def traced(config: ModelConfig, flown: Sequence[tuple[Array, Array]], Ts_s: float) -> ForceTrace:
-    """Return the trace of records, each of inputs (rows, p) and readings (rows, n)."""
-    records = [
-        imported_trace_record(Experiment(f"r{n}", Ts_s, u, y, {}, frozenset(), False), config)
-        for n, (u, y) in enumerate(flown)
+def traced(
+    config: ModelConfig,
+    flown: Sequence[tuple[Array, Array]],
+    Ts_s: float,
+    set_points: Sequence[Array | None] = (),
+) -> ForceTrace:
+    """Return the trace of records, each of inputs (rows, p) and readings (rows, n).
+
+    set_points: of each record (rows, k), if a controller that is not known drives the inputs; None
+    where they are not recorded.
+    """
+    experiments = [
+        Experiment(f"r{n}", Ts_s, u, y, {}, frozenset(), False) for n, (u, y) in enumerate(flown)
     ]
+    if set_points:
+        pairs = zip(experiments, set_points, strict=True)
+        experiments = [replace(e, feedback=True, commanded=wanted) for e, wanted in pairs]
+    records = [imported_trace_record(e, config) for e in experiments]
     with threadpool_limits(1):
         return trace_records(records, config, all_effects, lambda *_: None)
 

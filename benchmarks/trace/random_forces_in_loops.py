@@ -1,7 +1,8 @@
-"""Trace axes in a control loop under random forces that nothing measures, such as turbulence.
+"""Trace axes under random forces that nothing measures, such as turbulence, in a loop and without.
 
-The loop answers the random force, so that its command follows it: the force balance then takes part
-of the controller for the plant. The simulation is written independently of the model.
+A loop answers the random force, so that its command follows it: the force balance then takes part
+of the controller for the plant. Set points, or the commands of an axis without a loop, do not
+depend on the force. The simulation is written independently of the model.
 """
 
 from __future__ import annotations
@@ -26,11 +27,13 @@ FIRST_SEED = 80_000
 STEPS = 10
 TS_S, ROWS = 2e-3, 12_000
 FRICTION, DELAY = ("friction", ("x",)), ("delay", ("f",))
-KINDS: dict[str, frozenset[Named]] = {
+LACKS: dict[str, frozenset[Named]] = {
     "nothing missing": frozenset(),
     "friction": frozenset({FRICTION}),
     "delay": frozenset({DELAY}),
 }
+RECORDED = ("a loop", "a loop with set points", "no loop")
+KINDS = {f"{lack}, {recorded}": (lack, recorded) for recorded in RECORDED for lack in LACKS}
 
 
 @dataclass(frozen=True)
@@ -68,20 +71,23 @@ class Axis:
             return replace(axis, stick=stick)
         return replace(axis, late_rows=int(rng.integers(2, 4))) if kind == "delay" else axis
 
-    def flown(self, seed: int) -> tuple[Array, Array]:
-        """Return the loop's command and the reading (rows, 1) of a record with random set points.
+    def flown(self, seed: int, looped: bool = True) -> tuple[Array, Array, Array]:
+        """Return command, reading and set point (rows, 1) of a record with random set points.
 
-        The size of the random force is found from a record without it.
+        The size of the random force is found from a record without it. Without the loop, the
+        command is that of the loop without a random force and noise.
         """
         rng = np.random.default_rng(seed)
         wanted = 0.01 * rng.uniform(0.5, 1.0) * _below(rng.uniform(3.0, 6.0), rng)
         other = _below(self.random_hz, rng)
         noise = self.noise * 0.01 * rng.standard_normal(ROWS)
-        numbers = np.array([self.m1, self.d1, self.k1, self.stick, *self.gains])
-        u, _ = _fly(numbers, wanted, np.zeros(ROWS), noise, self.late_rows, TS_S, STEPS)
+        numbers, none = np.array([self.m1, self.d1, self.k1, self.stick, *self.gains]), np.zeros(0)
+        quiet = np.zeros(ROWS)
+        u, _ = _fly(numbers, wanted, none, quiet, quiet, self.late_rows, TS_S, STEPS)
         force = self.random * u.std() * other
-        u, y = _fly(numbers, wanted, force, noise, self.late_rows, TS_S, STEPS)
-        return u[:, None], y[:, None]
+        given = none if looped else u
+        u, y = _fly(numbers, wanted, given, force, noise, self.late_rows, TS_S, STEPS)
+        return u[:, None], y[:, None], wanted[:, None]
 
 
 def _below(limit_hz: float, rng: np.random.Generator) -> Array:
@@ -91,8 +97,9 @@ def _below(limit_hz: float, rng: np.random.Generator) -> Array:
 
 @njit
 def _fly(
-    p: Array, wanted: Array, force: Array, noise: Array, late: int, Ts_s: float, steps: int
-) -> tuple[Array, Array]:
+    p: Array, wanted: Array, given: Array, force: Array, noise: Array, late: int, Ts_s: float,
+    steps: int,
+) -> tuple[Array, Array]:  # fmt: skip
     m, d, k, stick, kp, kd, ki = p
     q, v, whole, h = 0.0, 0.0, 0.0, Ts_s / steps
     u, y = np.zeros(len(wanted)), np.zeros(len(wanted))
@@ -103,7 +110,7 @@ def _fly(
         whole += error * Ts_s
         rate = (error - before) / Ts_s
         before = error
-        u[row] = kp * error + kd * rate + ki * whole
+        u[row] = given[row] if len(given) else kp * error + kd * rate + ki * whole
         acting = u[max(row - late, 0)] + force[row]
         for _ in range(steps):
             half = v + 0.5 * h * (acting - d * v - k * q - stick * np.tanh(v / 1e-3)) / m
@@ -126,10 +133,14 @@ def declared(axis: Axis, rng: np.random.Generator) -> ModelConfig:
 
 def judged(kind: str, seed: int) -> Result:
     """Return the result of one plant."""
+    lack, recorded = KINDS[kind]
     rng = np.random.default_rng(seed)
-    axis = Axis.drawn(kind, rng)
+    axis = Axis.drawn(lack, rng)
     config = declared(axis, rng)
-    trace = traced(config, [axis.flown(RECORDS * seed + i) for i in range(RECORDS)], TS_S)
+    looped = recorded != "no loop"
+    flown = [axis.flown(RECORDS * seed + i, looped) for i in range(RECORDS)]
+    wanted = [points if recorded == "a loop with set points" else None for _, _, points in flown]
+    trace = traced(config, [(u, y) for u, y, _ in flown], TS_S, wanted if looped else ())
     point = trace.found.point
 
     def inside(_effects: object) -> Iterator[bool]:
@@ -137,12 +148,12 @@ def judged(kind: str, seed: int) -> Result:
         for value, name, se in numbers:
             yield bool(abs(value - getattr(axis, name)) <= SURE_95 * se)
 
-    return result(kind, seed, trace, KINDS[kind], inside)
+    return result(kind, seed, trace, LACKS[lack], inside)
 
 
 def main() -> None:
     """Print the figures of all plants."""
-    show_plants("axes in a loop under random forces", KINDS, judged, FIRST_SEED)
+    show_plants("axes under random forces, in a loop and without", KINDS, judged, FIRST_SEED)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ....config.base import parse_text
 from ....config.model import ModelConfig
 from ....config.units import known_unit
-from ....log.importing.signals_yaml import SignalsFile
+from ....log.importing.signals_yaml import Role, SignalsFile
 from ....log.reader import Log
 from ....model.controller import pi_controller
 from ....model.geometry import decoupling_matrix, shape_matrix
@@ -46,6 +46,8 @@ _USED = (
 """Fields of a rig log that a fit or a trace reads."""
 _REQUIRED = (*EXCITATION, *FEED_FORWARD, *REFERENCE, *POSE, "coil_n")
 """Fields that a rig log needs for a fit; the model's scheduling variables are added."""
+_COMMANDS: tuple[Role, ...] = ("reference", "excitation")
+"""Roles of the signals that drive a loop from outside."""
 _STILL = 1e-3
 """A scheduling variable that varies by less than this share of its range counts as constant."""
 _SMOOTH = 0.1
@@ -80,11 +82,22 @@ class Experiment:
     """Stated standard deviation (n,) of the outputs' noise, nan where it is not stated."""
     resolution: Array | None = None
     """Stated smallest step (n,) of the outputs, nan where it is not stated."""
+    commanded: Array | None = None
+    """References and excitations (N, k) of a loop; None without any."""
     remarks: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
     """What the log states otherwise than the model, such as units."""
     hold: Hold | None = None
     correlations: tuple[Array, Array] | None = None
+
+    @property
+    def causes(self) -> Array | None:
+        """Recorded signals (N, k) that do not depend on the outputs; None if none of them varies.
+
+        These are the inputs, in a control loop its references and excitations.
+        """
+        known = self.commanded if self.feedback else self.u
+        return known if known is not None and np.any(np.ptp(known, axis=0)) else None
 
     def rows(self, start: int, stop: int) -> Experiment:
         """Return rows start to stop (exclusive)."""
@@ -96,6 +109,7 @@ class Experiment:
             y=self.y[cut],
             schedule=schedule,
             loop=self.loop and self.loop.rows(cut),
+            commanded=None if self.commanded is None else self.commanded[cut],
         )
 
 
@@ -150,6 +164,7 @@ def _imported(log: Log, model: ModelConfig) -> Experiment:
     stated = "input_hold" in signals.model_fields_set
     outputs = signals.with_role("output")
     loop, remarks = imported_loop(log, signals, record)
+    known = [log.field(c.name) for role in _COMMANDS for c in signals.with_role(role)]
     return Experiment(
         record.name,
         record.Ts_s,
@@ -162,6 +177,7 @@ def _imported(log: Log, model: ModelConfig) -> Experiment:
         feedback=signals.loop is not None,
         noise_sd=_stated([c.noise_sd for c in outputs]),
         resolution=_stated([c.resolution for c in outputs]),
+        commanded=np.column_stack(known).astype(float) if known else None,
         remarks=(*record.remarks, *remarks),
         contradictions=_unit_contradictions(record, model),
         hold=signals.input_hold if stated else None,

@@ -14,7 +14,8 @@ from scipy.optimize import least_squares, lsq_linear
 
 from ....model.effects.base import Effect, Placed, Quantity
 from .force_record import ForceModel
-from .training_records import Evaluated, Shape, Training
+from .free_numbers import Shape
+from .training_records import Evaluated, Training
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,8 @@ from ...covariance_scaling import correlation
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
+from .free_numbers import numbers
+from .instrumental_variables import Unbiased
 from .intervals import Uncertainty, relative_force_errors
 from .richest_free_form import residual_of_richest
 from .search import Searched
@@ -40,10 +42,22 @@ class Certainty:
         training: Training,
         others: Sequence[Training],
         options: SearchOptions,
+        unbiased: Unbiased | None = None,
     ) -> Certainty:
-        """Judge the result of a search; `others`: in other bands, the last with more noise."""
+        """Judge the result of a search; `others`: in other bands, the last with more noise.
+
+        unbiased: the model fitted with instruments, whose numbers take the place of the found ones.
+        """
+        base = numbers(found.point)
         richer = _with_what_came_near(found, training, options)
-        uncertainty = Uncertainty.of(found.point, training, others, richer)
+        moved = [numbers(model)[: len(base)] - base for model in richer]
+        if unbiased is None:
+            point, instruments = found.point, None
+            moved += [numbers(other.fit(point)) - base for other in others]
+        else:
+            point, instruments = unbiased.point, unbiased.instruments
+            moved += [numbers(other) - numbers(point) for other in unbiased.others]
+        uncertainty = Uncertainty.of(point, training, moved, instruments)
         whole = Beside.of(found.point, training)
         left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
         force = _rms([r.acting_force(found.point) for r in fitted])
@@ -59,10 +73,10 @@ class Certainty:
         # counts.
         least = np.where(np.isfinite(form), form, quiet / force)
         return cls(
-            found,
+            with_numbers(found, point),
             uncertainty.standard_errors(),
             correlation(uncertainty.covariance),
-            relative_force_errors(found.point, fitted, uncertainty),
+            relative_force_errors(point, fitted, uncertainty),
             form,
             _left_share(found, training, least, options),
         )
@@ -87,14 +101,16 @@ class Certainty:
 def without_effect(found: Searched, identity: str, training: Training) -> Searched:
     """Return the result without an effect, the model fitted again."""
     kept = tuple(p for p in found.point.placed if p.effect.identity != identity)
-    point = training.fit(replace(found.point, placed=kept))
-    last = {p.effect.identity: p for p in kept}
-    rated = tuple(
-        replace(r, placed=last[r.placed.effect.identity])
-        for r in found.rated
-        if r.placed.effect.identity != identity
-    )
-    return replace(found, point=point, rated=rated, dropped=(*found.dropped, identity))
+    left = tuple(r for r in found.rated if r.placed.effect.identity != identity)
+    less = replace(found, rated=left, dropped=(*found.dropped, identity))
+    return with_numbers(less, training.fit(replace(found.point, placed=kept)))
+
+
+def with_numbers(found: Searched, point: ForceModel) -> Searched:
+    """Return the result with the numbers of a point that has the same effects."""
+    last = {p.effect.identity: p for p in point.placed}
+    rated = tuple(replace(r, placed=last[r.placed.effect.identity]) for r in found.rated)
+    return replace(found, point=point, rated=rated)
 
 
 def _with_what_came_near(

@@ -54,6 +54,23 @@ class Blocks:
                 found.append(part @ np.swapaxes(part, 1, 2))
         return np.array(found)
 
+    def products(
+        self, instruments: Sequence[Array], columns: Sequence[Array], missing: Sequence[Array]
+    ) -> Array:
+        """Return the products of instruments with [columns, missing force] (B, C, C + 1), summed
+        over DOF; the first two are of each record (C, rows, n), the last (rows, n)."""
+        found = []
+        triples = zip(self.edges, instruments, columns, missing, strict=True)
+        for edges, of_instruments, own, left in triples:
+            whole = np.concatenate([own, left[None]])
+            for first, last in pairwise(edges.tolist()):
+                found.append(
+                    np.tensordot(
+                        of_instruments[:, first:last], whole[:, first:last], ([1, 2], [1, 2])
+                    )
+                )
+        return np.array(found)
+
 
 def block_sums(blocks: Blocks, values: Sequence[Array]) -> Array:
     """Return the sum of squares of values (rows, n) of each record in each block (B,)."""

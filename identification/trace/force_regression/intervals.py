@@ -12,6 +12,7 @@ from ....model.effects.base import Placed
 from ...subspace.response_uncertainty import SURE_95
 from .candidate_fit import flat
 from .force_record import ForceModel, ForceRecord
+from .free_numbers import numbers
 from .training_records import Training
 
 Array = NDArray[np.float64]
@@ -41,34 +42,16 @@ class Uncertainty:
         cls,
         point: ForceModel,
         training: Training,
-        others: Sequence[Training],
-        richer: Sequence[ForceModel] = (),
+        moved: Sequence[Array],
+        instruments: Training | None = None,
     ) -> Uncertainty:
-        """Return the uncertainty of a model that was fitted to `training`.
+        """Return the uncertainty of a model that was fitted to `training`, with `instruments`.
 
-        richer: fitted models with one more effect, the last one, that may be missing.
+        moved: changes of all its numbers (K,) by other fits.
         """
-        at = training.at(point)
-        groups = training.group_columns(at)
-        columns = training.columns(at, groups)
-        size = np.linalg.norm(flat(columns), axis=0)
-        silent = size <= _ROUNDING * np.sqrt(at.power.sum())
-        size = np.where(silent, 1.0, size)
-        grams = training.judged(at, columns, groups)
-        scale = np.append(size, 1.0)
-        blocks = grams.grams.sum(axis=1) / scale[:, None] / scale
-        prior = grams.prior / scale[:, None] / scale
-        inner = blocks.sum(axis=0)[:-1, :-1] + prior[:-1, :-1]
-        scores = blocks[:, :-1, -1]
-        scores = scores - scores.mean(axis=0)
-        count = len(scores)
-        inverse = np.linalg.pinv(inner, rcond=1e-10, hermitian=True)
-        middle = scores.T @ scores * (count / max(count - 1, 1)) + prior[:-1, :-1]
-        unit = np.concatenate([point.parameters.scale, np.ones(len(size) - len(point.values))])
-        covariance = inverse @ middle @ inverse * np.outer(unit / size, unit / size)
-        moved = [numbers(other.fit(point)) - numbers(point) for other in others]
-        moved += [numbers(model)[: len(size)] - numbers(point) for model in richer]
-        return cls(covariance, np.array(moved).reshape(len(moved), len(size)), silent)
+        influences = Influences.of(point, training, instruments)
+        changes = np.array(moved).reshape(len(moved), len(influences.silent))
+        return cls(influences.covariance(), changes, influences.silent)
 
     def standard_errors(self, gradients: Array | None = None) -> Array:
         """Return the standard error of each number (K,), or of what has the gradients (., K).
@@ -80,6 +63,46 @@ class Uncertainty:
         spread = np.abs(self.moved @ g.T).max(axis=0, initial=0.0)
         errors = np.hypot(np.sqrt(np.maximum(variances, 0.0)), spread / SURE_95)
         return np.where(np.any(self.silent & (g != 0.0), axis=1), np.inf, errors)
+
+
+@dataclass(frozen=True)
+class Influences:
+    """What each block of time changes in the fitted numbers: by_block (B, K), its mean is 0.
+
+    of_prior (P, K): the same of the priors, of one standard deviation each. silent (K,): whether a
+    number changes no force at all, such as a constant one.
+    """
+
+    by_block: Array
+    of_prior: Array
+    silent: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, point: ForceModel, training: Training, instruments: Training | None = None
+    ) -> Influences:
+        """Return the influences on a model that was fitted to `training`, with `instruments`."""
+        at = training.at(point)
+        columns = training.columns(at, training.group_columns(at))
+        size = np.linalg.norm(flat(columns), axis=0)
+        silent = size <= _ROUNDING * np.sqrt(at.power.sum())
+        size = np.where(silent, 1.0, size)
+        own = columns if instruments is None else instruments.columns_at(point)
+        products = training.blocks.products(own, columns, at.missing) / size[:, None]
+        rows = point.parameters.prior_rows(point.values)[:, :-1]
+        prior = np.hstack([rows, np.zeros((len(rows), len(size) - rows.shape[1]))]) / size
+        inner = products[:, :, :-1].sum(axis=0) / size + prior.T @ prior
+        inverse = np.linalg.pinv(inner, rcond=1e-10)
+        scores = products[:, :, -1]
+        scores = (scores - scores.mean(axis=0)) * np.sqrt(len(scores) / max(len(scores) - 1, 1))
+        unit = np.concatenate([point.parameters.scale, np.ones(len(size) - len(point.values))])
+        by_block, of_prior = ((part @ inverse.T) * (unit / size) for part in (scores, prior))
+        return cls(by_block, of_prior, silent)
+
+    def covariance(self) -> Array:
+        """Return the covariance of all numbers (K, K): what a model lacks is coloured, and
+        correlates with its columns."""
+        return np.asarray(self.by_block.T @ self.by_block + self.of_prior.T @ self.of_prior)
 
 
 def relative_force_errors(
@@ -118,9 +141,3 @@ def _sizes(point: ForceModel, placed: Placed, records: Sequence[ForceRecord]) ->
     forces = [r.effect_forces(point.model, placed.effect, placed.shape) for r in records]
     squares = np.sum([np.sum(f**2, axis=(1, 2)) for f in forces], axis=0)
     return np.asarray(np.sqrt(np.maximum(squares, np.finfo(float).tiny)))
-
-
-def numbers(point: ForceModel) -> Array:
-    """Return all numbers of a model (F + effects'): parameters, then amplitudes and shapes."""
-    placed = [v for p in point.placed for v in (*p.amplitudes, *p.shape)]
-    return np.concatenate([point.values, np.array(placed)])

@@ -12,8 +12,9 @@ from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate, taken_at
 from .force_record import ForceModel
+from .free_numbers import numbers_of
 from .held_out_gain import Gain, block_sums, gain_of
-from .training_records import Training, acting_force, numbers_of
+from .training_records import Training, acting_force
 
 Array = NDArray[np.float64]
 

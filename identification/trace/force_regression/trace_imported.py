@@ -37,6 +37,7 @@ from .certainty_of_effects import Certainty, without_effect
 from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
 from .held_out_gain import Blocks
+from .instrumental_variables import Unbiased
 from .position_spectrum import position_periods
 from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
@@ -139,28 +140,19 @@ def _traced(
     train, kept = [p[0] for p in parts], [p[1] for p in parts]
     law_hz = max(limit_hz, min(velocity_limit(r.experiment, sd) for r in records))
     fitted = tuple(ForceRecord.of(r, hold, limit_hz, law_hz, sd) for r in train)
-    reported = tuple(
-        ForceRecord.of(whole, hold, limit_hz, law_hz, sd).counted_from(begin.rows)
-        for whole, begin in zip(records, train, strict=True)
-    )
-    # Of a DOF that rests in all of them there is nothing better to report.
-    still = ~np.any([r.moves.any(axis=0) for r in reported], axis=0)
-    reported = tuple(r.counted_at_rest(still) for r in reported)
+    whole = [ForceRecord.of(r, hold, limit_hz, law_hz, sd) for r in records]
+    reported = _counted_behind([r.rows for r in train], whole)
     places = records[0].places
     covered = extent(train)
     # A resonance shows below its frequency as compliance: at half of it, a quarter of the mass's
     # force. Farther below it is a change of mass, stiffness and damping.
     covered = replace(covered, fastest_hz=min(covered.fastest_hz, 2.0 * limit_hz))
     model = declared_model(config)
-    lagging = bool(model.lag.names) or model.lag({}) > 0.0
-    covered = replace(covered, lagging=lagging)
+    covered = replace(covered, lagging=bool(model.lag.names) or model.lag({}) > 0.0)
 
     progress("fitting the declared model", 0.05)
-    start = ForceModel(
-        model,
-        free_parameters(config),
-        placed_effects(config.effects, places, covered),
-    )
+    placed = placed_effects(config.effects, places, covered)
+    start = ForceModel(model, free_parameters(config), placed)
     training, start, held = _unweighed(start, fitted, limit_hz, options)
     training, declared = _weighed(training, start, (), options)
     covered = replace(covered, periods=position_periods(declared, fitted, limit_hz))
@@ -175,7 +167,7 @@ def _traced(
         while (empty := last.says_nothing(options)) is not None:
             found = without_effect(found, empty, training)
             last = judged(found, training)
-        return found, last
+        return last.found, last
 
     def judged(found: Searched, training: Training) -> Certainty:
         others = [
@@ -185,10 +177,11 @@ def _traced(
             for step in BAND_STEPS
             if step != _MIDDLE
         ]
+        unbiased = Unbiased.of(found.point, training, others, train, hold, law_hz, sd)
         noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
         more = np.sqrt(2.0) * sd
         others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
-        return Certainty.of(found, fitted, training, others, options)
+        return Certainty.of(found, fitted, training, others, options, unbiased)
 
     found, last = searched(training, None)
     if training.whitening.flat and found.rated:
@@ -198,20 +191,39 @@ def _traced(
             found, last = searched(training, replace(found, point=point))
     curves = curves_beside_laws(found.point, free, training, options)
     progress("reporting on unseen rows", 0.95)
-    noise = stated_noise([r.experiment for r in records])
+    if not found.rated:
+        declared = found.point  # nothing was found: use its numbers
     before, after = (
-        tuple(
-            reported_error(point, record, seen, hold, sd, noise)
-            for record, seen in zip(kept, reported, strict=True)
-        )
-        for point in (declared, found.point)
+        _reported(point, kept, reported, hold, sd) for point in (declared, found.point)
     )
+    stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors, before,
-        after, 100.0 * last.form, last.left_share, curves, sd, noise is not None, limit_hz, fitted,
+        after, 100.0 * last.form, last.left_share, curves, sd, stated, limit_hz, fitted,
         reported,
         (*notes, *held, *table.notes), options,
     )  # fmt: skip
+
+
+def _counted_behind(rows: Sequence[int], whole: Sequence[ForceRecord]) -> tuple[ForceRecord, ...]:
+    """Return records that count behind so many rows of each."""
+    found = [r.counted_from(begin) for r, begin in zip(whole, rows, strict=True)]
+    # Of a DOF that rests in all of them there is nothing better to report.
+    still = ~np.any([r.moves.any(axis=0) for r in found], axis=0)
+    return tuple(r.counted_at_rest(still) for r in found)
+
+
+def _reported(
+    point: ForceModel,
+    kept: Sequence[TraceRecord],
+    seen: Sequence[ForceRecord],
+    hold: Hold,
+    sd: Array,
+) -> tuple[ReportedError, ...]:
+    """Return the errors of a model on the rows that only report; seen: below the band's limit."""
+    noise = stated_noise([r.experiment for r in kept])
+    pairs = zip(kept, seen, strict=True)
+    return tuple(reported_error(point, r, below, hold, sd, noise) for r, below in pairs)
 
 
 def _unweighed(

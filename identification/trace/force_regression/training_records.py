@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from ....model.declared_model import ModelError
-from ....model.effects.base import Effect, Placed, Quantity
+from ....model.effects.base import Effect, Placed
 from .force_record import ForceModel, ForceRecord
+from .free_numbers import Shape, moved_by, numbers_of, room, shapes_beside, way
 from .held_out_gain import Blocks, Columns
 from .residual_whitening import Whitening
 
 Array = NDArray[np.float64]
-Shape = tuple[float, ...]
 
 _HALF_STEP = 1e-4
 """Half step of the central differences, as a share of a parameter's scale."""
@@ -30,11 +30,6 @@ _CONVERGED = 1e-6
 _TINY = np.finfo(float).tiny
 _DELAYS = (-2.0, -1.0, 1.0, 2.0, 4.0)
 """Delays in rows, beside the model's own, from which a first fit starts."""
-
-
-def numbers_of(placed: Placed) -> int:
-    """Return the number of an effect's amplitudes and shape parameters."""
-    return len(placed.amplitudes) + len(placed.shape)
 
 
 @dataclass(frozen=True)
@@ -140,7 +135,7 @@ class Training:
         for r in self.records:
             own = [r.group_changes(model, placed.effect, placed.shape)]
             for i, q in enumerate(placed.effect.shape):
-                low, high, width = _steps(q, placed.shape, i)
+                low, high, width = shapes_beside(q, placed.shape, i)
                 lower, upper = (r.group_changes(model, placed.effect, s) for s in (low, high))
                 own.append(np.tensordot(a, (upper - lower) / width, 1)[None])
             found.append(self._weighed(r, np.concatenate(own)))
@@ -179,6 +174,11 @@ class Training:
             parts.append(self.effect_columns(at, p, [g[mine] for g in groups]))
             begin = mine.stop
         return [np.concatenate(of_record) for of_record in zip(*parts, strict=True)]
+
+    def columns_at(self, point: ForceModel) -> list[Array]:
+        """Return `columns` at the numbers of a model."""
+        at = self.at(point)
+        return self.columns(at, self.group_columns(at))
 
     def plain(self) -> Training:
         """Return the same records without weights."""
@@ -220,9 +220,9 @@ class Training:
             return point
         squares, begin = self.cost(point), point
         for _ in range(_STEPS):
-            step = self._step(point, _way(begin, point))
+            step, _ = self.step(point, way(begin, point))
             for halving in range(_HALVINGS):
-                moved = _moved(point, step * 0.5**halving)
+                moved = moved_by(point, step * 0.5**halving)
                 after = self.cost(moved)
                 if after < squares:
                     break
@@ -302,13 +302,16 @@ class Training:
         )
 
     @property
-    def expected(self) -> float:
-        """Sum of squares of a model that leaves what the weights are made of: the number of
-        independent rows; nan for weights that are flat, and of no unit."""
-        if self.whitening.flat:
-            return float("nan")
+    def independent(self) -> float:
+        """Number of independent values of the missing force, by time and limit of the band."""
         rows = sum(2.0 * r.rows * r.band.row_s for r in self.records)
         return float(rows * self.whitening.cutoff_hz * self.records[0].kept[0].shape[1])
+
+    @property
+    def expected(self) -> float:
+        """Sum of squares of a model that leaves what the weights are made of: the number of
+        independent values; nan for weights that are flat, and of no unit."""
+        return float("nan") if self.whitening.flat else self.independent
 
     def cost(self, point: ForceModel) -> float:
         """Return the sum of squares of the missing force, and of the parameters' priors.
@@ -322,11 +325,28 @@ class Training:
             return float("inf")
         return squares + float(np.sum(rows[:, -1] ** 2))
 
-    def _step(self, point: ForceModel, way: Array) -> Array:
-        """Return the Gauss-Newton step of all free numbers, within the bounds.
+    def step(
+        self, point: ForceModel, gone: Array, instruments: Training | None = None
+    ) -> tuple[Array, Array]:
+        """Return a Gauss-Newton step of all free numbers, and the part of the missing force for it.
 
-        way: from the fit's begin to the point.
+        The step is within the bounds. gone: way from the fit's begin to the point. instruments:
+        records whose columns the missing force is projected on, instead of these records' own.
         """
+        A, b = self.regression(point)
+        Z = A if instruments is None else instruments.regression(point)[0]
+        size, of_instruments = (np.linalg.norm(X, axis=0) for X in (A, Z))
+        size = np.where(size > 0.0, size, 1.0)
+        Q = np.linalg.qr(Z / np.where(of_instruments > 0.0, of_instruments, 1.0))[0]
+        asked = Q.T @ b
+        damped = np.vstack([Q.T @ (A / size), _DAMPING * np.eye(len(size))])
+        low, high = room(point)
+        target = np.concatenate([asked, -_DAMPING * size * gone])
+        return np.asarray(lsq_linear(damped, target, (low * size, high * size)).x / size), asked
+
+    def regression(self, point: ForceModel) -> tuple[Array, Array]:
+        """Return the columns of all free numbers (rows, C) and the missing force (rows,), and below
+        both the parameters' priors."""
         at = self.at(point)
         columns = self.columns(at, self.group_columns(at))
         A = np.hstack([c.reshape(len(c), -1) for c in columns]).T
@@ -336,13 +356,7 @@ class Training:
             wide = np.zeros((len(rows), A.shape[1]))
             wide[:, : rows.shape[1] - 1] = rows[:, :-1]
             A, b = np.vstack([A, wide]), np.concatenate([b, -rows[:, -1]])
-        size = np.linalg.norm(A, axis=0)
-        size = np.where(size > 0.0, size, 1.0)
-        Q, R = np.linalg.qr(A / size)
-        damped = np.vstack([R, _DAMPING * np.eye(len(size))])
-        low, high = _room(point)
-        target = np.concatenate([Q.T @ b, -_DAMPING * size * way])
-        return np.asarray(lsq_linear(damped, target, (low * size, high * size)).x / size)
+        return A, b
 
     def _weighed(self, record: ForceRecord, values: Array) -> Array:
         white = self.whitening.apply(values, record.band.row_s)
@@ -385,53 +399,3 @@ def acting_force(at: Evaluated) -> Array:
     """Return the size (n,) of the inputs' force, of the largest other force where there is none."""
     sizes = np.sum([np.sum(g * g, axis=1) for g in at.groups], axis=0)
     return np.asarray(np.sqrt(np.where(sizes[0] > 0.0, sizes[0], sizes.max(axis=0))))
-
-
-def _way(begin: ForceModel, point: ForceModel) -> Array:
-    """Return the change of all free numbers, parameters in their scale."""
-    parts = [(point.values - begin.values) / point.parameters.scale]
-    for old, new in zip(begin.placed, point.placed, strict=True):
-        parts.append(np.subtract([*new.amplitudes, *new.shape], [*old.amplitudes, *old.shape]))
-    return np.concatenate(parts)
-
-
-def _steps(q: Quantity, shape: Shape, i: int) -> tuple[Shape, Shape, float]:
-    """Return the shapes below and above, within the bounds, and their distance."""
-    step = 1e-3 * abs(shape[i]) if q.log else 1e-5 * (q.high - q.low)
-    low, high = list(shape), list(shape)
-    low[i], high[i] = max(low[i] - step, q.low), min(high[i] + step, q.high)
-    return tuple(low), tuple(high), high[i] - low[i]
-
-
-def _room(point: ForceModel) -> tuple[Array, Array]:
-    """Return how far each free number may move down and up; at a bound a little, to be free."""
-    free, values = point.parameters, point.values
-    low = list((free.low - values) / free.scale)
-    high = list((free.high - values) / free.scale)
-    for p in point.placed:
-        for q, value in zip(
-            (*p.effect.amplitudes, *p.effect.shape), (*p.amplitudes, *p.shape), strict=True
-        ):
-            down, up = q.low - value, q.high - value
-            if q.log:  # a long step in a logarithm is none that a line describes
-                down, up = max(down, -0.5 * value), min(up, value)
-            low.append(down)
-            high.append(up)
-    least = np.finfo(float).eps
-    return np.minimum(low, -least), np.maximum(high, least)
-
-
-def _moved(point: ForceModel, step: Array) -> ForceModel:
-    """Return the point moved by a step of all free numbers."""
-    free = point.parameters
-    count = len(free.names)
-    values = np.clip(point.values + step[:count] * free.scale, free.low, free.high)
-    placed, at = [], count
-    for p in point.placed:
-        numbers = np.array([*p.amplitudes, *p.shape]) + step[at : at + numbers_of(p)]
-        quantities = (*p.effect.amplitudes, *p.effect.shape)
-        numbers = np.clip(numbers, [q.low for q in quantities], [q.high for q in quantities])
-        split = len(p.amplitudes)
-        placed.append(p.with_values(numbers[split:].tolist(), numbers[:split].tolist()))
-        at += numbers_of(p)
-    return replace(point.with_values(values), placed=tuple(placed))

@@ -25,7 +25,7 @@ from levid.identification.trace.records.record_from_log import imported_trace_re
 def test_what_the_equation_misses_is_the_random_force() -> None:
     drawn = Axis.drawn("nothing missing", np.random.default_rng(5))
     axis = replace(drawn, noise=0.0)
-    (u, y), rows = axis.flown(7), slice(2, -2)
+    (u, y, _), rows = axis.flown(7), slice(2, -2)
     qd, qdd = np.gradient(y[:, 0], TS_S), np.gradient(np.gradient(y[:, 0], TS_S), TS_S)
     # The mean of a held command over the rows that the differences span.
     held = np.convolve(u[:, 0], [0.125, 0.375, 0.375, 0.125])[1:-2]
@@ -35,14 +35,14 @@ def test_what_the_equation_misses_is_the_random_force() -> None:
 
 
 def test_nothing_is_named_for_a_random_force() -> None:
-    found = judged("nothing missing", 81_001)
+    found = judged("nothing missing, a loop", 81_001)
     assert found.right
     assert not found.doubted
 
 
 def test_a_delay_is_told_although_the_controller_turned_round_would_fit() -> None:
     # With a gain of -1.5 beside the delay, the mass went to zero, and the delay was in doubt.
-    found = judged("delay", 81_006)
+    found = judged("delay, a loop", 81_006)
     assert found.right
     assert not found.doubted
 
@@ -51,7 +51,7 @@ def test_a_mass_of_zero_costs_more_than_any() -> None:
     rng = np.random.default_rng(1)
     axis = Axis.drawn("nothing missing", rng)
     config = declared(axis, rng)
-    u, y = axis.flown(1)
+    u, y, _ = axis.flown(1)
     experiment = Experiment("r", TS_S, u, y, {}, frozenset(), False)
     record = ForceRecord.of(
         imported_trace_record(experiment, config), config.input, 30.0, 30.0, np.array([1e-5])

@@ -44,8 +44,9 @@ The effects that `levid trace` tries: what a plant may do and its declared model
 - **Told apart by** names the excitation that separates an effect from similar ones. Effects that
   fit a session about equally well are reported together.
 - **At** is `q` and *each actuator* for any plant that is not the rig: `q` is each DOF, and an
-  actuator has the name of its input. Units there are those of a DOF in m and a command in N. Its
-  sensors have the effects `reading.*`, at their DOF; those at a sensor are the rig's.
+  actuator has the name of its input; *q and q2* is each pair of DOF. Units there are those of a
+  DOF in m and a command in N. Its sensors have the effects `reading.*`, at their DOF; those at a
+  sensor are the rig's.
 - **Non-rigid part** of the readings: the part that no motion of a rigid platform can produce.
 """
 
@@ -63,8 +64,9 @@ def page() -> str:
         rows = families.setdefault(_module(effect).__name__, {})
         rows.setdefault(_row_of(effect), []).append(effect)
     others = all_effects(one_dof("m", "N"))
-    known_keys = {e.key for e in others}
-    others += tuple(e for e in all_effects(one_dof("rad", "N m")) if e.key not in known_keys)
+    for more in (one_dof("rad", "N m"), two_dof()):
+        known_keys = {e.key for e in others}
+        others += tuple(e for e in all_effects(more) if e.key not in known_keys)
     for effect in others:
         rows = families.setdefault(_module(effect).__name__, {})
         # What the rig knows too is told as it is there.
@@ -100,6 +102,15 @@ def one_dof(unit: str, force: str) -> Places:
     return Places(
         ("q",), (unit,), one, one, force, (force,), unit, nowhere, nowhere, beam=False,
         input_names=(ACTUATOR,),
+    )  # fmt: skip
+
+
+def two_dof() -> Places:
+    """Return the same with two inputs and two outputs."""
+    two, nowhere = np.eye(2), np.zeros((0, 2))
+    return Places(
+        ("q", "q2"), ("m", "m"), two, two, "N", ("N", "N"), "m", nowhere, nowhere, beam=False,
+        input_names=(ACTUATOR, "another one"),
     )  # fmt: skip
 
 

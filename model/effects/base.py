@@ -296,6 +296,9 @@ class Effect:
     lag; None without such a pair."""
     same_if_linear: tuple[str, ...] = ()
     """Effects, by key, that no record tells from this one in a plant that is linear otherwise."""
+    linear: bool = False
+    """Whether its force is in proportion to a term of a linear model: no other law, which becomes
+    one at the end of its range, is then meant."""
     scales_readings: bool = False
     """Whether the first amplitude is a scale error of all readings, those of other effects too."""
     sensor_arms: tuple[int, ...] = ()

@@ -20,6 +20,7 @@ from . import (
     friction,
     gravity,
     input_crosstalk,
+    linear_entries,
     magnetic_force,
     mass,
     motor_cogging,
@@ -71,6 +72,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *actuator_nonlinearity.effects(places, covered),
         *characteristic_after_lag.effects(places, covered),
         *input_crosstalk.effects(places),
+        *linear_entries.effects(places),
         *relative_motion_laws.effects(places, covered),
         *output_readings.effects(places),
     ]

@@ -37,6 +37,7 @@ def effects(places: Places) -> list[Effect]:
                 partial(_times_height, coils=(c,), power=0),
                 absorbed_by=places.worded(_ALL),
                 told_apart_by=places.worded(_ONE_BY_ONE),
+                linear=not places.beam,
             )
         )
         if _has_height(places):

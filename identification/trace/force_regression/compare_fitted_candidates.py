@@ -72,7 +72,10 @@ class _Fitted:
     """A candidate where the fit of the whole model with it ends.
 
     errors (B,): squared error of each block by the fit of all others, with the candidate's shape
-    held. left: what remains of the weighed missing force of each record (rows, n).
+    held. left: what remains of the weighed missing force of each record (rows, n). Both and the
+    cost are relative to what the noise of the outputs is in it, as errors of the outputs would be:
+    an equation of motion holds times any factor and after any filter, so that an actuator's lag may
+    take the place of the mass.
     """
 
     rated: Rated
@@ -100,13 +103,21 @@ class _Fitted:
     ) -> _Fitted:
         """Fit the model with a candidate; not to the end if it stays far above the least cost."""
         point = training.fit(replace(beside, placed=(*beside.placed, rated.placed)), least)
-        return cls.at(point, rated, training, options)
+        return cls.at(point, rated, training, training.noise(beside), options)
 
     @classmethod
     def at(
-        cls, point: ForceModel, rated: Rated, training: Training, options: SearchOptions
+        cls,
+        point: ForceModel,
+        rated: Rated,
+        training: Training,
+        noise: Array,
+        options: SearchOptions,
     ) -> _Fitted:
-        """Return a candidate that is the last effect of a fitted model."""
+        """Return a candidate that is the last effect of a fitted model.
+
+        noise (n,): power of the outputs' noise in the missing force of the model without it.
+        """
         at = training.at(point)
         groups = training.group_columns(at)
         columns = training.columns(at, groups)
@@ -117,8 +128,12 @@ class _Fitted:
         held = judged.only(range(kept))
         left = missing_after(held.coefficients(), [c[:kept] for c in columns], at.missing)
         last = replace(last, idle=_idle_amplitudes(held, last.placed, options))
-        cost, errors = training.cost(point), held.left_out_errors()
-        return cls(last, point, cost, errors, tuple(left))
+        own = np.maximum(training.noise(point) * at.share**2, np.finfo(float).tiny)
+        more = noise / own  # the missing force is already times the share
+        by_dof = held.left_out_errors_by_dof()
+        errors = (by_dof * more).sum(axis=1)
+        cost = training.cost(point) * float(errors.sum() / max(by_dof.sum(), np.finfo(float).tiny))
+        return cls(last, point, cost, errors, tuple(x * np.sqrt(more) for x in left))
 
 
 def richer_matters(
@@ -132,7 +147,8 @@ def richer_matters(
 
     Each is the last effect of its fitted model. `rated`: the rating of the richer one.
     """
-    one, other = (_Fitted.at(p, rated, training, options) for p in (richer, simple))
+    noise = training.noise(simple)
+    one, other = (_Fitted.at(p, rated, training, noise, options) for p in (richer, simple))
     size = block_sums(training.blocks, [a - b for a, b in zip(one.left, other.left, strict=True)])
     gain = bounded(other.errors - one.errors, size)
     surely = gain.mean() > options.standard_errors * error_of_mean(gain, size)

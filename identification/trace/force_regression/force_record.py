@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 
 _OVERSAMPLED = 4.0
 """Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
-_INERTIA = "inertia"
-"""Class of the effects whose force is in proportion to accelerations."""
+_INERTIA = {"inertia", "linear_inertia"}
+"""Classes of the effects whose force is in proportion to accelerations."""
 _RECENT = 40
 """Signals that are kept for the next call: of a model with some effects, each at its shape, at the
 shapes of its differences, and with other delays."""
@@ -63,7 +63,8 @@ class ForceModel:
 class ForceRecord:
     """One record below a limit. `rows` of it count; `kept` are the signals at these rows.
 
-    moves (rows, n): whether a DOF moves, 1 or 0; where it rests, all forces are 0.
+    moves (rows, n): whether a DOF moves, 1 or 0; where it rests, all forces are 0. noise_sd (n,):
+    of the outputs.
 
     signals: below a limit of their own, from which the forces of effects are computed. A law is not
     linear: of signals below the limit of the balance it would be a force that nothing has. What it
@@ -76,6 +77,7 @@ class ForceRecord:
     kept: tuple[Array, ...]
     moves: Array
     decoupling: Array
+    noise_sd: Array
     _matrices: list[tuple[DeclaredModel, SecondOrder]] = field(default_factory=list, repr=False)
     _inputs: dict[tuple[float, float], Array] = field(default_factory=dict, repr=False)
     _parts: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
@@ -99,7 +101,7 @@ class ForceRecord:
         )  # fmt: skip
         moves = moving_rows(qd, sd, e.Ts_s, law_hz, 1.0 / cutoff_hz)[band.kept].astype(float)
         return cls(
-            record.name, band, signals, band.kept_derivatives(), moves, record.places.decoupling
+            record.name, band, signals, band.kept_derivatives(), moves, record.places.decoupling, sd
         )
 
     def counted_from(self, row: int) -> ForceRecord:
@@ -134,6 +136,32 @@ class ForceRecord:
             force = self.band.input(*timing)
             _remember(self._inputs, timing, force)
         return np.asarray(force @ self._at(model).B.T)
+
+    def noise_density(self, point: ForceModel) -> tuple[Array, Array]:
+        """Return frequencies in Hz (F,), and the power density (F, n) there of the missing force
+        that the noise of the outputs alone gives, in the linear part of a model."""
+        at, freq_hz = self._at(point.model), self.band.freq_hz
+        more = sum((self._matrices_of(p) for p in point.placed), np.zeros((3, *at.M.shape)))
+        K, D, M = np.stack([at.K, at.D, at.M]) + more
+        s = 2j * np.pi * freq_hz[:, None, None]
+        density = 2.0 * self.band.Ts_s * np.abs(s**2 * M + s * D + K) ** 2 @ self.noise_sd**2
+        return freq_hz, density * self.band.low_pass[:, None] ** 2
+
+    def _matrices_of(self, placed: Placed) -> Array:
+        """Return what an effect adds to K, D and M (3, n, n): zero if it is not linear."""
+        n = self.signals.q.shape[1]
+        found = np.zeros((3, n, n))
+        if not placed.effect.linear:
+            return found
+        one, none = np.eye(n), np.zeros((n, n))
+        still = replace(
+            self.signals, time_s=np.zeros(n), coil=np.zeros((n, self.signals.coil.shape[1]))
+        )
+        for k in range(3):
+            q, qd, qdd = (one if k == i else none for i in range(3))
+            force = placed.term(replace(still, q=q, qd=qd, qdd=qdd)).force
+            found[k] = 0.0 if force is None else -force.T
+        return found
 
     def missing_force(self, point: ForceModel) -> Array:
         """Return the force that the model with its effects lacks (rows, n)."""
@@ -184,7 +212,7 @@ class ForceRecord:
         keep: whether the filtered signals are kept for the next call.
         """
         at = self._at(model)
-        kind = 1 if effect.effect_class == _INERTIA else 2
+        kind = 1 if effect.effect_class in _INERTIA else 2
         parts = self._parts_of(model, effect, shape, keep)
         changes = np.zeros((len(parts), 3, *self.kept[0].shape))
         for i, (plain, held, false) in enumerate(parts):

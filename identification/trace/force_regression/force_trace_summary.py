@@ -46,7 +46,8 @@ class FoundLaw:
     left_share: share of the squared missing force without it that is left with it, of what a free
     form explains. least_gain: share that an effect must take. curve: free form of its signal that
     surely improves on it, None without one. grew: whether the model with all effects misses more
-    force in the rows that neither fitted nor chose. told: whether the force of one of its
+    force in the rows that neither fitted nor chose, and whether its free run is farther from them.
+    told: whether the force of one of its
     amplitudes is told from zero. surely: standard errors from which on two numbers differ.
     """
 
@@ -58,7 +59,7 @@ class FoundLaw:
     left_share: float
     least_gain: float
     curve: Rated | None
-    grew: bool
+    grew: tuple[bool, bool]
     told: bool
     surely: float
 
@@ -85,7 +86,10 @@ class FoundLaw:
                 self.left_share > self.least_gain
             ),
             "no amplitude of it is told from zero": not self.told,
-            "the rows that neither fitted nor chose miss more force with what was found": self.grew,
+            "the rows that neither fitted nor chose miss more force with what was found": self.grew[
+                0
+            ],
+            "with what was found the free run is farther from these rows": self.grew[1],
         }
         return tuple(reason for reason, so in reasons.items() if so)
 
@@ -367,8 +371,8 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
         for p, own in zip(trace.found.point.placed, trace.force_errors, strict=True)
     }
     laws = []
-    before, after = (float(np.linalg.norm(e.force_percent)) for e in pooled_errors(trace))
-    grew = after > before
+    pooled = pooled_errors(trace)
+    grew = _grew(*(e.force_percent for e in pooled)), _grew(*(e.percent for e in pooled))
     known = {p.effect.identity for p in trace.found.point.placed}
     surely = trace.options.standard_errors
     for rated, left in zip(trace.found.rated, trace.left_share, strict=True):
@@ -394,6 +398,11 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
             )
         )
     return tuple(laws)
+
+
+def _grew(before: Array, after: Array) -> bool:
+    """Return whether errors of all DOF together grew; nan, of no simulation, did not."""
+    return bool(np.linalg.norm(after) > np.linalg.norm(before))
 
 
 def _kind(rated: Rated) -> tuple[str, tuple[str, ...]]:

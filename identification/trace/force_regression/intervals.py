@@ -18,7 +18,7 @@ from .training_records import Training
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9
-"""Largest change of the forces, over these, that is none."""
+"""Largest change of the forces by all of a number, over these, that is none."""
 _DIFFERENCE = 1e-4
 """Half step of the central differences, as a share of a parameter's scale."""
 
@@ -85,7 +85,9 @@ class Influences:
         at = training.at(point)
         columns = training.columns(at, training.group_columns(at))
         size = np.linalg.norm(flat(columns), axis=0)
-        silent = size <= _ROUNDING * np.sqrt(at.power.sum())
+        values = np.abs(numbers(point))
+        values[: len(point.values)] = 1.0  # columns of parameters are in their scale
+        silent = size * np.where(values > 0.0, values, 1.0) <= _ROUNDING * np.sqrt(at.power.sum())
         size = np.where(silent, 1.0, size)
         own = columns if instruments is None else instruments.columns_at(point)
         products = training.blocks.products(own, columns, at.missing) / size[:, None]

@@ -55,12 +55,16 @@ class Whitening:
         found = irfft(rfft(whole, length, axis=-2) * weight, length, axis=-2)
         return np.asarray(found[..., before : before + rows, :])
 
+    def squared_at(self, freq_hz: Array) -> Array:
+        """Return the inverse density (F, n) at frequencies in Hz, by which powers are weighed."""
+        inside = np.minimum(freq_hz, self.cutoff_hz)
+        logs = [np.interp(inside, self.freq_hz, np.log(d)) for d in self.density.T]
+        return np.asarray(np.exp(-np.stack(logs, axis=1)))
+
     def _weight(self, length: int, row_s: float) -> Array:
         """Return the weights (F, n) of a spectrum of `length` rows."""
         if (length, row_s) not in self._weights:
-            freq_hz = np.minimum(rfftfreq(length, row_s), self.cutoff_hz)
-            logs = [np.interp(freq_hz, self.freq_hz, np.log(d)) for d in self.density.T]
-            weight = np.exp(-0.5 * np.stack(logs, axis=1)) * np.sqrt(2.0 * row_s)
+            weight = np.sqrt(2.0 * row_s * self.squared_at(rfftfreq(length, row_s)))
             self._weights[length, row_s] = weight
         return self._weights[length, row_s]
 

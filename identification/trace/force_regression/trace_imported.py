@@ -201,8 +201,21 @@ def _traced(
         config, places, declared, found, last.errors, last.correlations, last.force_errors, before,
         after, 100.0 * last.form, last.left_share, curves, sd, stated, limit_hz, fitted,
         reported,
-        (*notes, *held, *table.notes), options,
+        (*notes, *held, *table.notes, *_at_limits(found.point)), options,
     )  # fmt: skip
+
+
+def _at_limits(point: ForceModel) -> tuple[str, ...]:
+    """Return a note for each free parameter that the fit left at a limit of its range."""
+    free, found = point.parameters, []
+    for name, value, low, high in zip(free.names, point.values, free.low, free.high, strict=True):
+        for word, limit in (("lower", low), ("upper", high)):
+            if value == limit:
+                found.append(
+                    f"{name} is at the {word} limit of its range in the model file, {limit:.4g}: "
+                    "widen the range if it may be beyond; if not, the model lacks something"
+                )
+    return tuple(found)
 
 
 def _counted_behind(rows: Sequence[int], whole: Sequence[ForceRecord]) -> tuple[ForceRecord, ...]:

@@ -180,6 +180,18 @@ class Training:
         at = self.at(point)
         return self.columns(at, self.group_columns(at))
 
+    def noise(self, point: ForceModel) -> Array:
+        """Return the power (n,) that the noise of the outputs has in the missing force of a model.
+
+        In arbitrary units: only ratios count.
+        """
+        power = np.zeros(len(self.all_free))
+        for r in self.records:
+            freq_hz, density = r.noise_density(point)
+            weighed = density * self.whitening.squared_at(freq_hz)
+            power += r.rows * r.band.row_s * weighed.mean(axis=0)
+        return power
+
     def plain(self) -> Training:
         """Return the same records without weights."""
         n, limit_hz = self.records[0].kept[0].shape[1], self.whitening.cutoff_hz

@@ -111,15 +111,17 @@ def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: floa
 
     None if less than `told_from_model` of its squared force remains beside the model's columns, or
     beside the force of the inputs, of inertia, or of all else, with the model's effects or without:
-    it is then a change of the model's parameters, or of the scale of one of these, which only a
-    linear effect means.
+    it is then a change of the model's parameters, or of the scale of one of these. A linear effect
+    means such a scale, unless it is all that the equation's scale is known by.
     """
     fit = beside.fitted(effect, shape, told_from_model, keep=True)
     whole = np.sum(fit.X * fit.X, axis=0)
     remains = np.sum(fit.left * fit.left, axis=0)
     n = len(beside.at.power)
-    whether = () if effect.linear else (beside.at.groups, beside.at.bare)
+    whether, scale = (beside.at.groups, beside.at.bare), beside.training.scale
     for groups, kind, i in product(whether, range(3), range(n)):
+        if effect.linear and not (scale[kind, i] and scale[:, i].sum() == 1.0):
+            continue
         one = np.arange(n) == i
         group = np.concatenate([(g[kind] * one).reshape(-1) for g in groups])
         along = (group @ fit.X) ** 2 / max(float(group @ group), np.finfo(float).tiny)

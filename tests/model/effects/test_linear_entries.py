@@ -14,6 +14,8 @@ from levid.benchmarks.trace.judged_plants import traced
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.docs.make_effects_table import rig_places, two_dof
+from levid.identification.trace.force_regression import trace_imported
+from levid.identification.trace.force_regression.candidate_fit import Beside, taken_at
 from levid.identification.trace.force_regression.trace_imported import ForceTrace
 from levid.model.effects import linear_entries
 from levid.model.effects.base import Effect, Signals
@@ -179,6 +181,25 @@ def test_a_wrong_fixed_mass_is_inertia_or_the_gain_of_the_input() -> None:
     one = (matrix[:1, :1] for matrix in (M, D, K))
     trace = found(ONE, *one, np.eye(1))
     assert named(trace) == [{"linear.inertia@x", "coil_gain@f"}]
+
+
+def test_a_lever_is_none_where_nothing_else_tells_the_scale_of_an_equation() -> None:
+    # A gain of the only input of an equation of which all else is free makes all of it small.
+    text = TWO.replace("[[1, 1], [0.2, -0.2]]", "[[1, 0], [0, 1]]")
+    trace = found(text, M + 0.05 * ACROSS, D, K, np.eye(2))
+    training, point, _ = trace_imported._unweighed(
+        trace.declared, trace.fitted, trace.limit_hz, trace.options
+    )
+    beside, told = Beside.of(point, training), trace.options.told_from_model
+    table = {e.identity: e for e in linear_entries.effects(trace.places)}
+
+    def taken(where: str) -> float | None:
+        return taken_at(beside, table[f"linear.input@{where}"], (), told)
+
+    assert taken("x+f") is None
+    assert taken("r+g") is None
+    assert taken("x+g") is not None
+    assert taken("r+f") is not None
 
 
 def test_nothing_is_named_where_all_entries_are_declared() -> None:

@@ -38,6 +38,7 @@ from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
 from .held_out_gain import Blocks
 from .instrumental_variables import Unbiased
+from .lines_in_missing_force import missing_lines
 from .position_spectrum import position_periods
 from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
@@ -155,7 +156,11 @@ def _traced(
     start = ForceModel(model, free_parameters(config), placed)
     training, start, held = _unweighed(start, fitted, limit_hz, options)
     training, declared = _weighed(training, start, (), options)
-    covered = replace(covered, periods=position_periods(declared, fitted, limit_hz))
+    covered = replace(
+        covered,
+        periods=position_periods(declared, fitted, limit_hz),
+        tones_hz=missing_lines(declared, fitted),
+    )
     table = searched_effects(effects, declared.placed, places, covered, overlap(records))
     free = [e for e in table.free if e.where[0] in places.dof]
 

@@ -53,22 +53,8 @@ def spectral_lines(records: Sequence[TraceRecord]) -> tuple[float, ...]:
     return tuple(chosen[:_MOST])
 
 
-def _lines(record: TraceRecord) -> list[tuple[float, float, float]]:
-    """Return power over that around, frequency, and resolution of each line of a record.
-
-    Each sensor is searched alone, as one may be disturbed, and each DOF.
-    """
-    Ts_s = record.experiment.Ts_s
-    rows = record.gap[round(_SETTLE_S / Ts_s) :]
-    if len(rows) < 2 * _AROUND:
-        return []
-    found = []
-    for x in np.column_stack([rows, rows @ record.places.decoupling.T]).T:
-        found += [(stands, f_hz, 1.0 / (len(x) * Ts_s)) for stands, f_hz in _lines_of(x, Ts_s)]
-    return found
-
-
-def _lines_of(x: Array, Ts_s: float) -> list[tuple[float, float]]:
+def lines_of(x: Array, Ts_s: float) -> list[tuple[float, float]]:
+    """Return power over that around, and frequency (Hz), of each line of a signal (N,)."""
     time_s: Array = Ts_s * np.arange(len(x), dtype=np.float64)
     rest = before = x - float(x.mean())
     step_hz = 1.0 / (len(x) * Ts_s)
@@ -106,6 +92,32 @@ def _lines_of(x: Array, Ts_s: float) -> list[tuple[float, float]]:
         if last[near].sum() < _LEFT * at_first[near].sum():
             pure.append((stands_out, f_hz))
     return pure
+
+
+def tonal(x: Array, Ts_s: float) -> bool:
+    """Return whether most of the power of a signal (N,) is in lines."""
+    if not np.ptp(x):
+        return False
+    power = _power(x - float(x.mean()))
+    level = median_filter(power, _AROUND, mode="reflect") / np.log(2.0)
+    lines = power > _STANDS_OUT * np.maximum(level, 1e-12 * power.max())
+    lines[: max(round(_LOWEST_HZ * len(x) * Ts_s), 1)] = False
+    return bool(power[lines].sum() > 0.5 * power.sum())
+
+
+def _lines(record: TraceRecord) -> list[tuple[float, float, float]]:
+    """Return power over that around, frequency, and resolution of each line of a record.
+
+    Each sensor is searched alone, as one may be disturbed, and each DOF.
+    """
+    Ts_s = record.experiment.Ts_s
+    rows = record.gap[round(_SETTLE_S / Ts_s) :]
+    if len(rows) < 2 * _AROUND:
+        return []
+    found = []
+    for x in np.column_stack([rows, rows @ record.places.decoupling.T]).T:
+        found += [(stands, f_hz, 1.0 / (len(x) * Ts_s)) for stands, f_hz in lines_of(x, Ts_s)]
+    return found
 
 
 def _power(x: Array) -> Array:

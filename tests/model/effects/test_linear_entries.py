@@ -183,6 +183,28 @@ def test_a_wrong_fixed_mass_is_inertia_or_the_gain_of_the_input() -> None:
     assert named(trace) == [{"linear.inertia@x", "coil_gain@f"}]
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e10])
+def test_a_number_of_any_unit_has_an_error(scale: float) -> None:
+    # A column for 1 N/m is nothing beside the force of a stage that moves by a tenth of 1 nm.
+    text = ONE.replace("[[k]]", "[[0]]").replace(", fixed: true", ", min: 0")
+    text = text.replace("2.2", f"{2.2 * scale:g}").replace("7.0", f"{7.0 * scale:g}")
+    one = [scale * matrix[:1, :1] for matrix in (M, D, K)]
+    trace = found(text, *one, np.eye(1))
+    assert named(trace) == [{"linear.stiffness@x"}]
+    (stiffness,) = trace.found.rated[0].placed.amplitudes
+    assert stiffness == pytest.approx(scale * K[0, 0], rel=0.01)
+    assert trace.errors[-1] < 0.01 * stiffness
+
+
+def test_a_parameter_at_a_limit_of_its_range_gets_a_note() -> None:
+    text = ONE.replace("value: 7.0, unit: N s/m, min: 0", "value: 7.0, unit: N s/m, max: 7.2")
+    one = [matrix[:1, :1] for matrix in (M * 1.1, D, K)]
+    notes = found(text, *one, np.eye(1)).notes
+    assert any(
+        n.startswith("d is at the upper limit of its range in the model file") for n in notes
+    )
+
+
 def test_a_lever_is_none_where_nothing_else_tells_the_scale_of_an_equation() -> None:
     # A gain of the only input of an equation of which all else is free makes all of it small.
     text = TWO.replace("[[1, 1], [0.2, -0.2]]", "[[1, 0], [0, 1]]")

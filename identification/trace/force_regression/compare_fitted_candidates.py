@@ -72,10 +72,11 @@ class _Fitted:
     """A candidate where the fit of the whole model with it ends.
 
     errors (B,): squared error of each block by the fit of all others, with the candidate's shape
-    held. left: what remains of the weighed missing force of each record (rows, n). Both and the
-    cost are relative to what the noise of the outputs is in it, as errors of the outputs would be:
-    an equation of motion holds times any factor and after any filter, so that an actuator's lag may
-    take the place of the mass.
+    held; by_force: the same, before what follows. left: what remains of the weighed missing force
+    of each record (rows, n). Errors, cost and what is left are relative to what the noise of the
+    outputs is in it, as errors of the outputs would be: an equation of motion holds times any
+    factor and after any filter, so that an actuator's lag may take the place of the mass. share
+    (n,): what the squares are multiplied by for that.
     """
 
     rated: Rated
@@ -83,6 +84,8 @@ class _Fitted:
     cost: float
     errors: Array
     left: tuple[Array, ...]
+    by_force: Array
+    share: Array
 
     @property
     def numbers(self) -> int:
@@ -133,7 +136,8 @@ class _Fitted:
         by_dof = held.left_out_errors_by_dof()
         errors = (by_dof * more).sum(axis=1)
         cost = training.cost(point) * float(errors.sum() / max(by_dof.sum(), np.finfo(float).tiny))
-        return cls(last, point, cost, errors, tuple(x * np.sqrt(more) for x in left))
+        relative = tuple(x * np.sqrt(more) for x in left)
+        return cls(last, point, cost, errors, relative, by_dof.sum(axis=1), more)
 
 
 def richer_matters(
@@ -178,12 +182,23 @@ def _idle_amplitudes(held: Columns, placed: Placed, options: SearchOptions) -> i
 
 def _worse(one: _Fitted, best: _Fitted, blocks: Blocks, options: SearchOptions) -> bool:
     """Return whether a fitted candidate is worse: surely, by the scatter of the difference, and by
-    more than the equation of the best may be wrong by."""
-    size = block_sums(blocks, [a - b for a, b in zip(one.left, best.left, strict=True)])
-    difference = bounded(one.errors - best.errors, size)
+    more than the equation of the best may be wrong by.
+
+    It must be so both relative to the noise of the outputs and by force alone: a small difference
+    of two masses is no more sure than these, but the same in all blocks.
+    """
     least = options.inexact * float(best.rated.gain.raw.mean())
-    surely = options.standard_errors * error_of_mean(difference, size)
-    return bool(difference.mean() > max(surely, least))
+
+    def surely(errors: tuple[Array, Array], left: list[Array]) -> bool:
+        size = block_sums(blocks, left)
+        difference = bounded(errors[0] - errors[1], size)
+        chance = options.standard_errors * error_of_mean(difference, size)
+        return bool(difference.mean() > max(chance, least))
+
+    pairs = list(zip(one.left, best.left, strict=True))
+    by_noise = surely((one.errors, best.errors), [a - b for a, b in pairs])
+    forces = [a / np.sqrt(one.share) - b / np.sqrt(best.share) for a, b in pairs]
+    return by_noise and surely((one.by_force, best.by_force), forces)
 
 
 def _support(

@@ -42,6 +42,6 @@ def test_lag_and_tail_of_a_plain_lag_are_the_same(
         "lag": EffectParameter(value=lag, unit="s", se=se),
         "tail": EffectParameter(value=tail, unit="s", se=se),
     }
-    law = FoundLaw(rated, numbers, 1.0, (), (), 0.0, 0.1, None, False, True, 3.0)
+    law = FoundLaw(rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), True, 3.0)
     assert law.doubtful == unequal
     assert any("lag and tail" in d for d in law.doubts) == unequal

@@ -73,6 +73,7 @@ def _across(places: Places, effect_class: str) -> list[Effect]:
             partial(_coupled, pair=(i, j)),
             absorbed_by="declared damping that couples these DOFs",
             told_apart_by="excitation of both DOFs around their resonances",
+            linear=not places.beam,
         )
         for i, j in combinations(range(len(places.dof)), 2)
     ]

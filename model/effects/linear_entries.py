@@ -20,7 +20,7 @@ from .base import Effect, Places, Quantity, Signals, Term, on_dof
 from .force_units import ratio
 from .lag_and_hysteresis_recursions import lagged_mean
 
-_AMPLITUDES = "two amplitudes of excitation: a nonlinear law changes in proportion no more"
+_AMPLITUDES = "two amplitudes of excitation: a nonlinear law has another share at each"
 _TERMS = (
     ("inertia", "Inertia", "m", "q''", " s^2"),
     ("damping", "Linear damping", "d", "q'", " s"),

@@ -164,7 +164,8 @@ def _imported(log: Log, model: ModelConfig) -> Experiment:
     stated = "input_hold" in signals.model_fields_set
     outputs = signals.with_role("output")
     loop, remarks = imported_loop(log, signals, record)
-    known = [log.field(c.name) for role in _COMMANDS for c in signals.with_role(role)]
+    known = [c.name for role in _COMMANDS for c in signals.with_role(role)]
+    require_finite(log, known)
     return Experiment(
         record.name,
         record.Ts_s,
@@ -177,7 +178,7 @@ def _imported(log: Log, model: ModelConfig) -> Experiment:
         feedback=signals.loop is not None,
         noise_sd=_stated([c.noise_sd for c in outputs]),
         resolution=_stated([c.resolution for c in outputs]),
-        commanded=np.column_stack(known).astype(float) if known else None,
+        commanded=columns(log, known) if known else None,
         remarks=(*record.remarks, *remarks),
         contradictions=_unit_contradictions(record, model),
         hold=signals.input_hold if stated else None,

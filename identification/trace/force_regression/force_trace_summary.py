@@ -80,16 +80,15 @@ class FoundLaw:
             return ()
         left = f"{100 * self.left_share:.2g} %"
         pair = " and ".join(self.placed.effect.equal_numbers or ())
+        more, farther = self.grew
         reasons = {
             f"its {pair} would be the same, but differ": self.unequal,
             f"of the squared missing force without it, {left} is left": (
                 self.left_share > self.least_gain
             ),
             "no amplitude of it is told from zero": not self.told,
-            "the rows that neither fitted nor chose miss more force with what was found": self.grew[
-                0
-            ],
-            "with what was found the free run is farther from these rows": self.grew[1],
+            "the rows that neither fitted nor chose miss more force with what was found": more,
+            "with what was found the free run is farther from these rows": farther,
         }
         return tuple(reason for reason, so in reasons.items() if so)
 

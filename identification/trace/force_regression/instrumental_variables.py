@@ -25,6 +25,7 @@ from ..records.record_from_log import TraceRecord
 from .force_record import ForceModel, ForceRecord
 from .free_numbers import moved_by, numbers, way
 from .intervals import Influences
+from .residual_whitening import SEGMENTS
 from .training_records import Training
 
 Array = NDArray[np.float64]
@@ -33,8 +34,6 @@ Complex = NDArray[np.complex128]
 _STEPS, _HALVINGS = 20, 6
 _CONVERGED = 1e-4
 """Of the square that one column takes by chance: no number is a hundredth of its error away."""
-_SEGMENTS = 4
-"""Lengths of a segment in the shortest record."""
 _RIDGE = 1e-9
 """Of the largest spectrum: where the causes have less, there is no response to them."""
 
@@ -51,7 +50,7 @@ def projected(records: Sequence[TraceRecord]) -> tuple[TraceRecord, ...] | None:
     if len(causes) < len(records) or len(alike) > 1:
         return None
     signals = [np.hstack([r.experiment.y, r.experiment.u]) for r in records]
-    rows = min(len(x) for x in signals) // _SEGMENTS
+    rows = min(len(x) for x in signals) // SEGMENTS
     pairs = [_spectra(w, x, rows) for w, x in zip(causes, signals, strict=True)]
     found = []
     for k, (record, w, x) in enumerate(zip(records, causes, signals, strict=True)):

@@ -11,12 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..records.spectral_lines import lines_of, tonal
+from ..records.spectral_lines import MOST_LINES, lines_of, tonal
 from .force_record import ForceModel, ForceRecord
 
 Array = NDArray[np.float64]
 
-_MOST = 6
 _FINE = 8.0
 """Steps of a frequency over the inverse of the time of all records."""
 _MOST_STEPS = 4000
@@ -44,7 +43,7 @@ def missing_lines(point: ForceModel, records: Sequence[ForceRecord]) -> tuple[fl
     )
     chosen: list[float] = []
     for _, f_hz, step_hz in found:
-        if len(chosen) < _MOST and all(abs(f_hz - other) > step_hz for other in chosen):
+        if len(chosen) < MOST_LINES and all(abs(f_hz - other) > step_hz for other in chosen):
             joint = _joint(f_hz, step_hz, parts, times)
             if joint is not None:
                 chosen.append(joint)

@@ -18,7 +18,7 @@ from scipy.signal import welch
 
 Array = NDArray[np.float64]
 
-_SEGMENTS = 4
+SEGMENTS = 4
 """Lengths of a segment in the shortest record; segments overlap by half."""
 _LEAST_ROWS = 16
 
@@ -74,7 +74,7 @@ def whitening_of(residuals: Sequence[Array], row_s: Sequence[float], cutoff_hz: 
     shortest = min(len(r) * s for r, s in zip(residuals, row_s, strict=True))
     spectra = []
     for r, s in zip(residuals, row_s, strict=True):
-        segment = max(int(shortest / s) // _SEGMENTS, _LEAST_ROWS)
+        segment = max(int(shortest / s) // SEGMENTS, _LEAST_ROWS)
         spectra.append(welch(r, 1 / s, nperseg=min(segment, len(r)), axis=0))
     freq_hz = spectra[0][0]
     seconds = np.array([len(r) * s for r, s in zip(residuals, row_s, strict=True)])

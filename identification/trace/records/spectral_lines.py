@@ -19,7 +19,7 @@ from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 
-_MOST = 6
+MOST_LINES = 6
 _STANDS_OUT = 50.0
 """Power of a line over the mean power around it: noise reaches that in one of 10^21 bins."""
 _AROUND = 61
@@ -50,7 +50,7 @@ def spectral_lines(records: Sequence[TraceRecord]) -> tuple[float, ...]:
     for _, f_hz, step_hz in found:
         if all(abs(f_hz - other) > step_hz for other in chosen):
             chosen.append(f_hz)
-    return tuple(chosen[:_MOST])
+    return tuple(chosen[:MOST_LINES])
 
 
 def lines_of(x: Array, Ts_s: float) -> list[tuple[float, float]]:
@@ -61,7 +61,7 @@ def lines_of(x: Array, Ts_s: float) -> list[tuple[float, float]]:
     bins, at_first = np.arange(len(x) // 2 + 1), _power(before)
     lines: list[float] = []
     strengths: list[float] = []
-    while len(lines) < _MOST:
+    while len(lines) < MOST_LINES:
         power = _power(rest)
         level = median_filter(power, _AROUND, mode="reflect") / np.log(2.0)
         stands = power / np.maximum(level, 1e-300)

@@ -81,14 +81,14 @@ def _gyroscopic(places: Places, i: int, j: int) -> Effect:
 def _input(places: Places, dof: int, coil: int) -> Effect:
     return Effect(
         "linear.input",
-        "Input with another lever than declared",
+        "Lever of an input",
         "input_lever",
         (places.dof[dof], places.actuator(coil)),
         "force = b u at this DOF, u the command as it acts",
         (Quantity("b", ratio(places.force_unit(dof), places.command_unit(coil))),),
         partial(_of_input, dof=dof, coil=coil),
         absorbed_by="a free entry of B at the same place",
-        told_apart_by="excitation of all inputs, one at a time",
+        told_apart_by="a known inertia of this DOF: levers of all inputs scale with it",
         linear=True,
     )
 

@@ -52,7 +52,7 @@ METHODS = {
     "form_degree": (richest_free_form, "_DEGREE"),
     "form_range": (richest_free_form, "_WIDE"),
     "form_rows": (richest_free_form, "_ROWS_PER_NUMBER"),
-    "spectrum_segments": (residual_whitening, "_SEGMENTS"),
+    "spectrum_segments": (residual_whitening, "SEGMENTS"),
     "rows_per_period": (force_record, "_OVERSAMPLED"),
 }
 """Numbers of the methods by name: module and constant."""

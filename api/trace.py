@@ -44,8 +44,8 @@ def trace(
 ) -> Trace:
     """Find the effects that the session's records show and the model lacks.
 
-    Imported records are traced by the force that the model lacks, unless it has a scheduling
-    variable: along a schedule that force has no spectrum, and the prediction errors serve for it.
+    Imported records are traced by the force that the model lacks, those of a rig by the errors of
+    its predictions.
 
     Raises:
         ConfigError: the model file is wrong.
@@ -58,7 +58,7 @@ def trace(
     report = progress or (lambda _what, _share: None)
     say = warn or partial(warnings.warn, stacklevel=4)
     config, file = _declared(session, model)
-    if "signals.yaml" in session.steps[0].attachments and not config.scheduling:
+    if "signals.yaml" in session.steps[0].attachments:
         return trace_imported_logs(session, config, report)
     return trace_rig_logs(session, config, file, workers, dask, report, say)
 

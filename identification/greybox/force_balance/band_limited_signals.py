@@ -82,15 +82,10 @@ class BandLimited:
     def of(
         cls, e: Experiment, hold: Hold, cutoff_hz: float, oversampled: float = _OVERSAMPLED
     ) -> BandLimited:
-        """Return a record below a limit; raises IdentificationError if its schedule moves.
+        """Return a record below a limit.
 
         oversampled: rate of the rows that are kept, over the limit, at least.
         """
-        if e.moving:
-            raise IdentificationError(
-                f"record '{e.name}': expected a constant schedule for the force balance, "
-                "found motion"
-            )
         Ts_s, rows = e.Ts_s, len(e.y)
         before = min(rows - 1, math.ceil(4.0 / (cutoff_hz * Ts_s)))
         length = next_fast_len(rows + 2 * before, real=True)

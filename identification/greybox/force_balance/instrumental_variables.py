@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel
+from ...records.record import IdentificationError
 from ...subspace.response_uncertainty import SURE_95
 from ..experiment.experiment_from_log import Experiment
 from ..experiment.intersample_input import Hold
@@ -120,6 +121,12 @@ def force_percent(model: DeclaredModel, experiments: Sequence[Experiment], hold:
 
 
 def _signals(experiments: Sequence[Experiment], hold: Hold, cutoff_hz: float) -> list[BandLimited]:
+    for e in experiments:
+        if e.moving:
+            raise IdentificationError(
+                f"record '{e.name}': expected a constant schedule for the force balance, "
+                "found motion"
+            )
     return [BandLimited.of(e, hold, cutoff_hz) for e in experiments]
 
 

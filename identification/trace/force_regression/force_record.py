@@ -10,13 +10,14 @@ level, so that what is missing there tells nothing of any effect.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ....model.declared_model import DeclaredModel
+from ....model.declared_model import DeclaredModel, Matrices
 from ....model.effects.base import Effect, Placed, Signals, Term
 from ....model.second_order import SecondOrder
 from ...greybox.experiment.intersample_input import Hold
@@ -68,7 +69,11 @@ class ForceRecord:
 
     signals: below a limit of their own, from which the forces of effects are computed. A law is not
     linear: of signals below the limit of the balance it would be a force that nothing has. What it
-    gives passes the low-pass of the balance as all other forces do.
+    gives passes the low-pass of the balance as all other forces do. So it is with matrices that
+    move with a schedule: times a signal they are not linear either.
+
+    schedule: scheduling variables (N,) by name if they move. multiplied: the record below the limit
+    of the signals that matrices are multiplied with, at all rows if a schedule moves.
     """
 
     name: str
@@ -78,7 +83,11 @@ class ForceRecord:
     moves: Array
     decoupling: Array
     noise_sd: Array
-    _matrices: list[tuple[DeclaredModel, SecondOrder]] = field(default_factory=list, repr=False)
+    multiplied: BandLimited
+    schedule: Mapping[str, Array]
+    _matrices: list[tuple[DeclaredModel, SecondOrder, Matrices]] = field(
+        default_factory=list, repr=False
+    )
     _inputs: dict[tuple[float, float], Array] = field(default_factory=dict, repr=False)
     _parts: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
     _recent: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
@@ -89,11 +98,13 @@ class ForceRecord:
     ) -> ForceRecord:
         """Return a record below `cutoff_hz`, and its signals for laws below `law_hz`.
 
-        sd (n,): noise of the outputs. Raises IdentificationError if its schedule moves.
+        sd (n,): noise of the outputs.
         """
         e = record.experiment
         band = BandLimited.of(e, hold, cutoff_hz, _OVERSAMPLED)
-        q, qd, qdd = BandLimited.of(e, hold, law_hz, _OVERSAMPLED).derivatives[:3]
+        law = BandLimited.of(e, hold, law_hz, _OVERSAMPLED)
+        q, qd, qdd = law.derivatives[:3]
+        every_row = replace(law, kept=slice(0, len(q), 1))
         none = np.zeros(len(q))
         signals = Signals(
             e.Ts_s, record.time_s, q, qd, qdd, record.coil, none, none, none, none, none, none,
@@ -101,8 +112,9 @@ class ForceRecord:
         )  # fmt: skip
         moves = moving_rows(qd, sd, e.Ts_s, law_hz, 1.0 / cutoff_hz)[band.kept].astype(float)
         return cls(
-            record.name, band, signals, band.kept_derivatives(), moves, record.places.decoupling, sd
-        )
+            record.name, band, signals, band.kept_derivatives(), moves, record.places.decoupling, sd,
+            every_row if e.moving else band, e.schedule if e.moving else {},
+        )  # fmt: skip
 
     def counted_from(self, row: int) -> ForceRecord:
         """Return the record with only the rows that count behind a row and an edge as at its begin.
@@ -112,7 +124,9 @@ class ForceRecord:
         old = self.band.kept
         band = replace(self.band, kept=slice(row + old.start, old.stop, old.step))
         moves = self.moves[-len(range(*band.kept.indices(len(self.signals.q)))) :]
-        return replace(self, band=band, kept=band.kept_derivatives(), moves=moves, **_empty())
+        multiplied = self.multiplied if self.schedule else band
+        kept = band.kept_derivatives()
+        return replace(self, band=band, kept=kept, moves=moves, multiplied=multiplied, **_empty())
 
     def counted_at_rest(self, still: NDArray[np.bool_]) -> ForceRecord:
         """Return the record with the rows of some DOF (n,) counted, whether these rest or not."""
@@ -133,14 +147,14 @@ class ForceRecord:
         timing = self._timing(model)
         force = self._inputs.get(timing)
         if force is None:
-            force = self.band.input(*timing)
+            force = self.multiplied.input(*timing)
             _remember(self._inputs, timing, force)
-        return np.asarray(force @ self._at(model).B.T)
+        return self._products(model, B=force)
 
     def noise_density(self, point: ForceModel) -> tuple[Array, Array]:
         """Return frequencies in Hz (F,), and the power density (F, n) there of the missing force
         that the noise of the outputs alone gives, in the linear part of a model."""
-        at, freq_hz = self._at(point.model), self.band.freq_hz
+        at, freq_hz = self._at(point.model)[0], self.band.freq_hz
         more = sum((self._matrices_of(p) for p in point.placed), np.zeros((3, *at.M.shape)))
         K, D, M = np.stack([at.K, at.D, at.M]) + more
         s = 2j * np.pi * freq_hz[:, None, None]
@@ -180,9 +194,12 @@ class ForceRecord:
 
         Each includes the effects of its kind. The first less the others is what the model lacks.
         """
-        at = self._at(point.model)
-        q, qd, qdd, _ = self.kept
-        groups = np.stack([self.input_force(point.model), qdd @ at.M.T, qd @ at.D.T + q @ at.K.T])
+        model = point.model
+        q, qd, qdd, _ = self.multiplied.kept_derivatives() if self.schedule else self.kept
+        others = self._products(model, D=qd, K=q)
+        if self.schedule:
+            others = others - self.band.smoothed(model.moving_force(self.schedule))
+        groups = np.stack([self.input_force(model), self._products(model, M=qdd), others])
         for p in point.placed:
             more = self.group_changes(point.model, p.effect, p.shape)
             groups = groups + np.tensordot(np.array(p.amplitudes), more, 1)
@@ -211,34 +228,41 @@ class ForceRecord:
 
         keep: whether the filtered signals are kept for the next call.
         """
-        at = self._at(model)
         kind = 1 if effect.effect_class in _INERTIA else 2
         parts = self._parts_of(model, effect, shape, keep)
         changes = np.zeros((len(parts), 3, *self.kept[0].shape))
         for i, (plain, held, false) in enumerate(parts):
             if held is not None:
-                changes[i, 0] += held @ at.B.T
+                changes[i, 0] += self._products(model, B=held)
             if plain is not None:
                 changes[i, kind] -= plain
             if false is not None:
-                changes[i, 1] -= false[2] @ at.M.T
-                changes[i, 2] -= false[1] @ at.D.T + false[0] @ at.K.T
+                changes[i, 1] -= self._products(model, M=false[2])
+                changes[i, 2] -= self._products(model, D=false[1], K=false[0])
         return np.asarray(changes * self.moves)
 
     def force_of_command(self, model: DeclaredModel, held: Array) -> Array:
         """Return the force (rows, n) of additions to the inputs (N, p)."""
-        at = self._at(model)
-        return np.asarray(self.band.input(*self._timing(model), held) @ at.B.T)
+        return self._products(model, B=self.multiplied.input(*self._timing(model), held))
 
-    def _at(self, model: DeclaredModel) -> SecondOrder:
-        """Return the matrices of a model in this record."""
+    def _products(self, model: DeclaredModel, **signals: Array) -> Array:
+        """Return the sum (rows, n) of matrices times signals of `multiplied`, by the matrix."""
+        mean, along = self._at(model)
+        if not self.schedule:
+            return np.asarray(sum(x @ getattr(mean, name).T for name, x in signals.items()))
+        products = (np.einsum("nij,nj->ni", getattr(along, name), x) for name, x in signals.items())
+        return self.band.smoothed(np.asarray(sum(products)))
+
+    def _at(self, model: DeclaredModel) -> tuple[SecondOrder, Matrices]:
+        """Return the matrices of a model at the mean schedule, and along it."""
         if not self._matrices or self._matrices[0][0] is not model:
-            self._matrices[:] = [(model, model.at(self.band.schedule))]
-        return self._matrices[0][1]
+            mean = model.at(self.band.schedule)
+            self._matrices[:] = [(model, mean, model.over(self.schedule))]
+        return self._matrices[0][1:]
 
     def _timing(self, model: DeclaredModel) -> tuple[float, float]:
         """Return delay and lag of the input in s; with the log's own, the delay is not negative."""
-        at = self._at(model)
+        at = self._at(model)[0]
         return max(at.delay_s, -self.band.own_delay_s), max(at.lag_s, 0.0)
 
     def _parts_of(
@@ -261,11 +285,11 @@ class ForceRecord:
         return parts
 
     def _part(self, term: Term, delay_s: float, lag_s: float) -> _Part:
-        band = self.band
+        band, many = self.band, self.multiplied
         return (
             None if term.force is None else band.smoothed(term.force),
-            None if term.held is None else band.input(delay_s, lag_s, term.held),
-            None if term.gap is None else band.smoothed_derivatives(term.gap @ self.decoupling.T),
+            None if term.held is None else many.input(delay_s, lag_s, term.held),
+            None if term.gap is None else many.smoothed_derivatives(term.gap @ self.decoupling.T),
         )
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...greybox.experiment.intersample_input import Hold
+from ...greybox.experiment.experiment_from_log import Experiment
 from ...greybox.free_run.free_run_noise_floor import floor_rms
 from ...greybox.prediction.noise_model import Noise
 from ...greybox.validation import metric_of
@@ -84,30 +84,25 @@ def _step(values: Array) -> float:
 
 
 def reported_error(
-    point: ForceModel,
-    record: TraceRecord,
-    seen: ForceRecord,
-    hold: Hold,
-    sd: Array,
-    stated: Noise | None,
+    point: ForceModel, record: TraceRecord, begin: int, seen: ForceRecord, stated: Noise | None
 ) -> ReportedError:
-    """Return the errors of a model on a record.
+    """Return the errors of a model on the rows of a record from `begin` on.
 
-    seen: the same record below the band's limit. sd (n,): noise of the outputs. stated: the noise
-    that the records state, None if they do not.
+    seen: the same rows below the band's limit. stated: the noise that the records state, None if
+    they do not.
     """
     missing = seen.varying(seen.missing_force(point))
     acting = seen.acting_force(point)
-    e = record.experiment
+    e = record.experiment.rows(begin, record.rows)
     error = floor = np.full(e.y.shape[1], np.nan)
     settled = True
-    if _runs_free(point, record):
-        error, settled = _simulated(point, record, missing, seen, hold, sd)
+    if _runs_free(point, e):
+        error, settled = _simulated(point, record, begin, missing, seen)
         if stated is not None:
-            floor = floor_rms(point.model, e, hold, stated)
+            floor = floor_rms(point.model, e, seen.band.hold, stated)
     return ReportedError(
         record.name,
-        record.rows * e.Ts_s,
+        len(e.y) * e.Ts_s,
         error,
         floor,
         e.y.std(axis=0),
@@ -117,36 +112,36 @@ def reported_error(
     )
 
 
-def _runs_free(point: ForceModel, record: TraceRecord) -> bool:
+def _runs_free(point: ForceModel, experiment: Experiment) -> bool:
     """Return whether a free run measures the model: it is stable, and slow enough for the rows.
 
     A stiff stage below its resonance has a mass near nothing if its record does not tell the mass.
     """
     try:
-        return metric_of(point.model, record.experiment) == "free_run"
+        return metric_of(point.model, experiment) == "free_run"
     except IdentificationError:
         return False
 
 
 def _simulated(
-    point: ForceModel, record: TraceRecord, missing: Array, seen: ForceRecord, hold: Hold, sd: Array
+    point: ForceModel, record: TraceRecord, begin: int, missing: Array, seen: ForceRecord
 ) -> tuple[Array, bool]:
     """Return the RMS error (n,) of a free run, nan if it diverges or does not converge, and whether
     it converged."""
-    e = record.experiment
+    e, sd = record.experiment, seen.noise_sd
     density = np.maximum(missing.var(axis=0) / (2.0 * seen.band.cutoff_hz), np.finfo(float).tiny)
     noise = Noise.independent(density, sd**2)
     disturbance = Disturbance(noise, float(np.median(sd)), measured=False)
-    at = WorkingPoint(point.model, point.parameters, point.placed, disturbance, hold)
+    at = WorkingPoint(point.model, point.parameters, point.placed, disturbance, seen.band.hold)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            run = free_run(at, record, sd)
+            run = free_run(at, record, sd, begin)
             readings = run.gap @ record.places.decoupling.T
             error = (e.y - readings)[run.counts_from :]
             rms = np.sqrt(np.mean(error**2, axis=0))
     except (IdentificationError, np.linalg.LinAlgError):
         return np.full(e.y.shape[1], np.nan), False
-    bounded = bool(np.all(rms < _DIVERGED * e.y.std(axis=0)))
+    bounded = bool(np.all(rms < _DIVERGED * e.y[begin:].std(axis=0)))
     return (rms if bounded and run.settled else np.full_like(rms, np.nan)), run.settled
 
 

@@ -101,8 +101,8 @@ def trace_imported(
 ) -> ForceTrace:
     """Find the effects that the model of `config` lacks in imported records.
 
-    The last quarter of every record only reports. Raises IdentificationError without records, for
-    records that are too short, or whose schedule moves.
+    The last quarter of every record only reports. Raises IdentificationError without records, and
+    for records that are too short.
     """
     progress("reading logs", 0.0)
     records, notes = read_records(logs, config, 0.0)
@@ -137,12 +137,12 @@ def _traced(
     limit_hz = middle_limit([r.experiment for r in records], hold)
     limit_hz = min(limit_hz, *(acceleration_limit(r.experiment, sd) for r in records))
     options = replace(options, blocks=_blocks(records, limit_hz, options))
-    parts = [_split(r, options.reported) for r in records]
-    train, kept = [p[0] for p in parts], [p[1] for p in parts]
+    begins = [round((1.0 - options.reported) * r.rows) for r in records]
+    train = [r.cut(0, at) for r, at in zip(records, begins, strict=True)]
     law_hz = max(limit_hz, min(velocity_limit(r.experiment, sd) for r in records))
     fitted = tuple(ForceRecord.of(r, hold, limit_hz, law_hz, sd) for r in train)
     whole = [ForceRecord.of(r, hold, limit_hz, law_hz, sd) for r in records]
-    reported = _counted_behind([r.rows for r in train], whole)
+    reported = _counted_behind(begins, whole)
     places = records[0].places
     covered = extent(train)
     # A resonance shows below its frequency as compliance: at half of it, a quarter of the mass's
@@ -199,7 +199,7 @@ def _traced(
     if not found.rated:
         declared = found.point  # nothing was found: use its numbers
     before, after = (
-        _reported(point, kept, reported, hold, sd) for point in (declared, found.point)
+        _reported(point, records, begins, reported) for point in (declared, found.point)
     )
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
@@ -233,15 +233,14 @@ def _counted_behind(rows: Sequence[int], whole: Sequence[ForceRecord]) -> tuple[
 
 def _reported(
     point: ForceModel,
-    kept: Sequence[TraceRecord],
+    records: Sequence[TraceRecord],
+    begins: Sequence[int],
     seen: Sequence[ForceRecord],
-    hold: Hold,
-    sd: Array,
 ) -> tuple[ReportedError, ...]:
     """Return the errors of a model on the rows that only report; seen: below the band's limit."""
-    noise = stated_noise([r.experiment for r in kept])
-    pairs = zip(kept, seen, strict=True)
-    return tuple(reported_error(point, r, below, hold, sd, noise) for r, below in pairs)
+    noise = stated_noise([r.experiment for r in records])
+    each = zip(records, begins, seen, strict=True)
+    return tuple(reported_error(point, r, begin, below, noise) for r, begin, below in each)
 
 
 def _unweighed(
@@ -313,11 +312,6 @@ def _noisier(record: TraceRecord, sd: Array, seed: int) -> TraceRecord:
     e = record.experiment
     more = sd * np.random.default_rng(seed).normal(size=e.y.shape)
     return replace(record, experiment=replace(e, y=e.y + more))
-
-
-def _split(record: TraceRecord, reported: float) -> tuple[TraceRecord, TraceRecord]:
-    at = round((1.0 - reported) * record.rows)
-    return record.cut(0, at), record.cut(at, record.rows)
 
 
 def _require_rows(records: Sequence[TraceRecord], options: SearchOptions) -> None:

@@ -69,16 +69,17 @@ class Slopes:
 
 
 def free_run(
-    point: WorkingPoint, record: TraceRecord, sensor_sd: Array | None = None
+    point: WorkingPoint, record: TraceRecord, sensor_sd: Array | None = None, begin: int = 0
 ) -> EffectFreeRun:
-    """Simulate a record in free run; constant force and state are estimated from its first 5 s.
+    """Simulate a record in free run; constant force and state are estimated from 5 s at its begin.
 
-    sensor_sd (S,): noise of each sensor, if they differ.
+    sensor_sd (S,): noise of each sensor, if they differ. begin: row where the record begins; what
+    was measured before only sets the state of effects that have a memory.
 
     Raises IdentificationError for a closed loop without a zero-order hold at the input.
     """
     require_held(record.experiment, point.hold)
-    iteration = _Iteration(point, record, sensor_sd)
+    iteration = _Iteration(point, record, sensor_sd, begin)
     damped = DampedSteps()
     iteration.advance(damped, while_promising=True)
     if iteration.settled:
@@ -97,12 +98,15 @@ class _Iteration:
     change: last rms change of the readings, in noise deviations. settled: whether it converged.
     """
 
-    def __init__(self, point: WorkingPoint, record: TraceRecord, sensor_sd: Array | None) -> None:
+    def __init__(
+        self, point: WorkingPoint, record: TraceRecord, sensor_sd: Array | None, begin: int
+    ) -> None:
         e = record.experiment
         at = motion(point.model, e, point.hold)
-        self._point, self._record, self._first = point, record, first_row(e)
+        self._point, self._record = point, record
+        self._first = begin + first_row(e.rows(begin, record.rows))
         _, self._added = filtered(point, record, at)
-        offset, self._state = _start(point, record, self._added, self._first)
+        offset, self._state = _start(point, record, self._added, begin, self._first)
         seen = self._added.gap
         self._given = e.y if seen is None else e.y - seen @ record.places.decoupling.T
         self._at = settled(at, offset)
@@ -200,15 +204,16 @@ def _force_at(point: WorkingPoint, signals: Signals, name: str, column: int, by:
 
 
 def _start(
-    point: WorkingPoint, record: TraceRecord, added: Term, first: int
+    point: WorkingPoint, record: TraceRecord, added: Term, begin: int, first: int
 ) -> tuple[Array, Array]:
-    """Estimate constant force (n,) and state (2n,) at row `first` from the rows before."""
+    """Estimate constant force (n,) and state (2n,) at row `first` from the rows from `begin` on."""
     own = motion(point.model, record.experiment, point.hold)
     corrected, whole = corrected_experiment(point, record, own, added)
     kalman = filter_of(point, record, own)
     if not own.fixed:
-        kalman = Filter(kalman.gain[:first], kalman.covariance[:first])
-    return known_after(beginning(whole, first), corrected.rows(0, first), kalman)
+        kalman = Filter(kalman.gain[begin:first], kalman.covariance[begin:first])
+    seen = beginning(whole.rows(begin, first), first - begin)
+    return known_after(seen, corrected.rows(begin, first), kalman)
 
 
 def _shared(record: TraceRecord, u: Array) -> Array:

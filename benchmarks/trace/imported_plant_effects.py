@@ -82,9 +82,9 @@ LAWS = {
     "lag": Law(Kind.LAG, ("actuator_lag",), True),
     "delay": Law(Kind.DELAY, ("delay",), True),
     "magnet": Law(Kind.MAGNET, ("magnetic_force",), effect="magnetic_force.i2_y2.closes"),
-    "uneven_friction": Law(Kind.RUBBED_UNEVENLY, ("friction",), listed=False),
+    "uneven_friction": Law(Kind.RUBBED_UNEVENLY, ("friction",)),
     "drag_15": Law(Kind.DRAG_15, ("damping",), listed=False),
-    "force_ripple": Law(Kind.RIPPLE, (), True, listed=False),
+    "force_ripple": Law(Kind.RIPPLE, ("torque_ripple",), True),
 }  # fmt: skip
 """Effects by name."""
 

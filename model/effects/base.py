@@ -246,6 +246,9 @@ class Quantity:
     high: float = np.inf
     log: bool = False
     """Whether a search takes steps in the logarithm of the value."""
+    ends: bool = False
+    """Whether the law at `high` is a limit that it may have, as a hard corner of a saturation. With
+    others, a fit that ends there looks for what this law is not."""
     difference: float = 1e-3
     """Relative change with which such a value's derivatives are computed: more, where each bounce
     off a stop comes otherwise after the last one came a little otherwise."""

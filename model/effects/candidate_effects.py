@@ -18,6 +18,7 @@ from . import (
     damping,
     flexible,
     friction,
+    friction_along_position,
     gravity,
     input_crosstalk,
     linear_entries,
@@ -32,6 +33,7 @@ from . import (
     sensor_static,
     stiffness,
     swinging_coupling,
+    torque_ripple,
     vibration,
 )
 from .base import Effect, Places, resolved
@@ -49,6 +51,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *stiffness.effects(places, covered),
         *damping.effects(places),
         *friction.effects(places, covered),
+        *friction_along_position.effects(places, covered),
         *flexible.effects(places, covered),
         *mass.effects(places, covered),
         *beam.effects(places),
@@ -68,6 +71,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *swinging_coupling.effects(places),
         *backlash.effects(places, covered),
         *motor_cogging.effects(places, covered),
+        *torque_ripple.effects(places, covered),
         *magnetic_force.effects(places, covered),
         *actuator_nonlinearity.effects(places, covered),
         *characteristic_after_lag.effects(places, covered),

@@ -29,6 +29,8 @@ _LIMITS = (0.85, 0.5, 0.25)
 """Start values of a limit over the largest command. The rig reports commands at its limits; other
 plants may be driven far into saturation, where a squared characteristic would fit better at 0.85.
 """
+_HARD = 1000.0
+"""Hardness from which on a limit is a hard one: its corner is within a thousandth of the limit."""
 _TOLD_APART = "excitation of the coils one by one, at two amplitudes"
 
 
@@ -67,7 +69,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 partial(_saturation, coils=coils),
                 (
                     Quantity("limit", unit, 0.1 * largest, 10 * largest, log=True),
-                    Quantity("hardness", "1", 1.0, 40.0, log=True),
+                    Quantity("hardness", "1", 1.0, _HARD, log=True, ends=True),
                 ),
                 tuple((share * largest, 6.0) for share in limits),
                 absorbed_by="not visible far below the limit",

@@ -1,30 +1,38 @@
-"""Additional lag and delay of single coils: a slower current loop, a delayed command.
+"""Additional lag and delay of single coils: a slower current loop, a valve, a delayed command.
 
 The equations use the mean of the force over each period, and its moment: a force that acts late in
 a period gives less way. In the mean, the responses of a first-order lag and of a delay of a
 fraction of a period to a held command differ only after the first period (Franklin, Powell,
 Workman, *Digital Control of Dynamic Systems*, 1998, ch. 4). Lateness (`lag`, `delay`) and duration
 of the error (`tail`, `back`) are separate parameters; for a plain lag or delay they are equal. A
-coil can be faster than the others by at most the declared lag and delay. Signature: a force error
+coil can be faster than the others by at most the declared lag and delay. A servo valve and a
+current loop with an integrator are of second order (Merritt, *Hydraulic Control Systems*, 1967,
+ch. 7): they ring, and far below their frequency are late by 2 damping / (2 pi frequency).
+Signature: a force error
 proportional to the rate of change of one coil's command, so it grows with frequency and is zero for
 a constant command. A gain error does not grow with frequency.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
-from .lag_and_hysteresis_recursions import lagged_mean, lagged_moment, with_moment
+from .lag_and_hysteresis_recursions import lagged_mean, lagged_moment, resonant, with_moment
 from .operating_range import Extent
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"
 _LAGS = "same for all coils: the declared lag; shorter than a period: delay"
 _DELAYS = "same for all coils: the declared delay; shorter than a period: lag"
 _LATE_S = 2e-3
+_DAMPING, _MOST_DAMPING = 0.7, 3.0
+_TYPICAL_HZ = 100.0
+_OVER_BAND = (0.5, 1.0, 2.0, 4.0)
+"""Start values of a second-order lag's frequency over the highest one without aliasing."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
@@ -66,7 +74,30 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 same_if_linear=("reading.delay",) if single else (),
             ),
         ]
+        if not places.beam:
+            found.append(_of_second_order(places, extent, c))
     return found
+
+
+def _of_second_order(places: Places, extent: Extent, coil: int) -> Effect:
+    fastest_hz = extent.fastest_hz if math.isfinite(extent.fastest_hz) else _TYPICAL_HZ
+    highest_hz = 2.0 * max(_OVER_BAND) * fastest_hz
+    return Effect(
+        "actuator_lag.second_order",
+        places.worded("Second-order lag of a coil"),
+        "actuator_lag",
+        (places.actuator(coil),),
+        "force = F + depth (f - F), f'' + 2 damping w f' + w^2 f = w^2 F; w = 2 pi frequency",
+        (Quantity("depth", "1"),),
+        partial(_second_order, coil=coil),
+        (
+            Quantity("frequency", "Hz", extent.slowest_hz, highest_hz, log=True),
+            Quantity("damping", "1", 1e-3, _MOST_DAMPING, log=True),
+        ),
+        tuple((share * fastest_hz, _DAMPING) for share in _OVER_BAND),
+        absorbed_by=places.worded(_LAGS),
+        told_apart_by=places.worded(_ONE_BY_ONE),
+    )
 
 
 def _lag(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
@@ -75,6 +106,11 @@ def _lag(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
         lagged_mean(F, shape[0], signals.Ts_s), lagged_moment(F, shape[0], signals.Ts_s)
     )
     return [on_coil(signals, coil, (late - F) / shape[0])]
+
+
+def _second_order(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
+    F = signals.coil[:, coil]
+    return [on_coil(signals, coil, with_moment(*resonant(F, *shape, signals.Ts_s)) - F)]
 
 
 def _delay(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:

@@ -47,7 +47,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
         force, reach, speed = places.force_unit(i), extent.reach[i], extent.speed[i]
         amplitude = (Quantity("friction", force, 0.0),)
-        v_s = Quantity("v_s", f"{unit}/s", speed / _WIDE, 3 * speed, log=True)
+        v_s = turning_speed(unit, speed)
         x_s = Quantity("x_s", unit, reach / _WIDE, 10 * reach, log=True)
         found += [
             Effect(
@@ -145,6 +145,24 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
+def turning_speed(unit: str, speed: float) -> Quantity:
+    """Return v_s, within which friction turns, of a DOF in a unit with an RMS speed."""
+    return Quantity("v_s", f"{unit}/s", speed / _WIDE, 3 * speed, log=True)
+
+
+def direction(signals: Signals, dof: int, v_s: float) -> Array:
+    """Return tanh(q' / v_s) (N,), or its mean around each row.
+
+    Friction that turns faster than the records are sampled would else be known to a row only. The
+    speed is linear between the rows' middles, so the mean is a difference of ln cosh. A Stribeck
+    peak is that of the row.
+    """
+    if not signals.around_rows:
+        return np.asarray(np.tanh(signals.qd[:, dof] / v_s))
+    first, last, at = _around(signals.qd[:, dof] / v_s)
+    return _slope(_ln_cosh(last) - _ln_cosh(first), last - first, np.tanh(at))
+
+
 def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> list[Effect]:
     """Return sliding friction with one level for each direction."""
     levels = (Quantity("friction", force, 0.0), Quantity("asymmetry", force))
@@ -197,20 +215,7 @@ def _turn(shape: Sequence[float]) -> tuple[float, ...]:
 
 
 def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    return [on_dof(signals, dof, -_turned(signals, dof, shape[0]))]
-
-
-def _turned(signals: Signals, dof: int, v_s: float) -> Array:
-    """Return tanh(q' / v_s) (N,), or its mean around each row.
-
-    Friction that turns faster than the records are sampled would else be known to a row only. The
-    speed is linear between the rows' middles, so the mean is a difference of ln cosh. A Stribeck
-    peak is that of the row.
-    """
-    if not signals.around_rows:
-        return np.asarray(np.tanh(signals.qd[:, dof] / v_s))
-    first, last, at = _around(signals.qd[:, dof] / v_s)
-    return _slope(_ln_cosh(last) - _ln_cosh(first), last - first, np.tanh(at))
+    return [on_dof(signals, dof, -direction(signals, dof, shape[0]))]
 
 
 def _turned_squared(signals: Signals, dof: int, v_s: float) -> Array:
@@ -240,19 +245,19 @@ def _ln_cosh(x: Array) -> Array:
 
 def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     ratio = signals.qd[:, dof] / shape[0]
-    sliding = -_turned(signals, dof, shape[0] * shape[1])
+    sliding = -direction(signals, dof, shape[0] * shape[1])
     return [on_dof(signals, dof, v) for v in (sliding, sliding * np.exp(-(ratio**2)))]
 
 
 def _coulomb_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    s, squared = _turned(signals, dof, shape[0]), _turned_squared(signals, dof, shape[0])
+    s, squared = direction(signals, dof, shape[0]), _turned_squared(signals, dof, shape[0])
     return [on_dof(signals, dof, v) for v in (-s, -squared)]
 
 
 def _stribeck_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     ratio = signals.qd[:, dof] / shape[0]
     v_s = shape[0] * shape[1]
-    s, squared = _turned(signals, dof, v_s), _turned_squared(signals, dof, v_s)
+    s, squared = direction(signals, dof, v_s), _turned_squared(signals, dof, v_s)
     return [on_dof(signals, dof, v) for v in (-s, -s * np.exp(-(ratio**2)), -squared)]
 
 

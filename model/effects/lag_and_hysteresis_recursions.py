@@ -20,6 +20,8 @@ _POINTS, _GAUSS = 6, 8
 """Rows of a polynomial between rows, and Gauss points of its integral over a period."""
 _RADIANS = 0.15
 """Largest phase of a resonance per step; the relative frequency error is its square over 24."""
+_SAME_POLES = 1e-6
+"""Half of the distance between two poles, in radians per period, below which they are one."""
 _STEP, _RESTS = 0.2, 1e-12
 """Largest step of the Bouc-Wen equation over the break-away displacement, and least change of its
 force by a step: with less it has come to its limit."""
@@ -66,6 +68,25 @@ def lagged_moment(held: Array, tau_s: float, Ts_s: float) -> Array:
     state = _lagged_held(np.ascontiguousarray(held), 1.0 - left, 1.0)  # at the begin
     share = (left - ratio * (1.0 - left)) / ratio**2 - left / (2.0 * ratio)
     return np.asarray(share * (state - held))
+
+
+def resonant(held: Array, frequency_hz: float, damping: float, Ts_s: float) -> tuple[Array, Array]:
+    """Return mean and moment (N,) over each period of held commands after a second-order lag.
+
+    It starts in steady state. damping: its ratio, 1 at the critical one, at which there is a limit.
+    """
+    w = 2.0 * math.pi * frequency_hz
+    A = np.array([[0.0, 1.0], [-w * w, -2.0 * damping * w]])
+    spread = w * complex(damping**2 - 1.0) ** 0.5
+    slope = Ts_s if abs(spread) * Ts_s < _SAME_POLES else np.sinh(spread * Ts_s) / spread
+    E = math.exp(-damping * w * Ts_s) * np.real(
+        np.cosh(spread * Ts_s) * np.eye(2) + slope * (A + damping * w * np.eye(2))
+    )
+    # Means of e^(A t), and of it times t / Ts - 1/2.
+    whole = np.linalg.solve(A, E - np.eye(2)) / Ts_s
+    late = np.linalg.solve(A, E - whole) / Ts_s - 0.5 * whole
+    before = np.asarray(_deviations(np.ascontiguousarray(held), E))
+    return np.asarray(held + before @ whole[0]), np.asarray(before @ late[0])
 
 
 def with_moment(mean: Array, moment: Array) -> Array:
@@ -274,6 +295,19 @@ def _driven(step, drive, start):  # type: ignore[no-untyped-def]
         x, v = step[0] * x + step[1] * v + drive[k, 0], step[2] * x + step[3] * v + drive[k, 1]
         out[k + 1] = x, v
     return out
+
+
+@njit(cache=True, nogil=True)
+def _deviations(held, E):  # type: ignore[no-untyped-def]
+    """Return value less command, and its rate, (N, 2) at the begin of each period."""
+    found = np.zeros((len(held), 2))
+    value, rate = held[0], 0.0
+    for row in range(len(held)):
+        off = value - held[row]
+        found[row, 0], found[row, 1] = off, rate
+        value = held[row] + E[0, 0] * off + E[0, 1] * rate
+        rate = E[1, 0] * off + E[1, 1] * rate
+    return found
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""Cogging and torque ripple of a motor on a DOF: a force periodic in the position.
+"""Cogging of a motor on a DOF: a force periodic in the position.
 
 Iron teeth attract the magnets, so the force is periodic in the pole or slot pitch, without any
 current (Zhu and Howe, *Influence of design parameters on cogging torque in permanent magnet
@@ -17,10 +17,8 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .operating_range import Extent
+from .operating_range import TRAVEL, Extent
 
-_TRAVEL = 4.0
-"""Travel over the standard deviation of a motion."""
 _FEWEST, _MOST, _APART = 2.0, 20.0, 0.5
 """Cycles over the travel: fewest, most, and between neighbouring start values."""
 
@@ -31,7 +29,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         return []
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
-        pitches = _pitches(_TRAVEL * extent.reach[i], extent.periods[i] if extent.periods else ())
+        pitches = _pitches(TRAVEL * extent.reach[i], extent.periods[i] if extent.periods else ())
         found.append(
             Effect(
                 "cogging.position",

@@ -11,6 +11,8 @@ import numpy as np
 from .base import Array, Places, Signals
 
 MAINS_HZ = (50.0, 60.0)
+TRAVEL = 4.0
+"""Travel over the standard deviation of a motion."""
 
 # Typical operation of the rig: corners move 0.3 mm RMS at about 5 Hz, coils give up to 12 N.
 _TYPICAL_GAP = 3e-4
@@ -40,7 +42,8 @@ class Extent:
     in forces and motion. beam_rates: largest speed and acceleration of the beam and largest speed
     of the rotor. joints: RMS deviation and speed, and middle, of each relative motion. lagging:
     whether the model has a lag, None if that is not known. periods: for each DOF, those over its
-    position that the missing force has.
+    position that the missing force has; rubbing: those that it times the direction has. ripples:
+    for each actuator, those over its position that the missing share of its force has.
     """
 
     reach: tuple[float, ...]
@@ -63,6 +66,8 @@ class Extent:
     joints: tuple[tuple[float, float, float], ...] = ()
     lagging: bool | None = None
     periods: tuple[tuple[float, ...], ...] = ()
+    rubbing: tuple[tuple[float, ...], ...] = ()
+    ripples: tuple[tuple[float, ...], ...] = ()
 
     def largest_command(self, coils: Sequence[int]) -> float:
         """Return the largest command of some actuators: inputs can have different units."""

@@ -112,8 +112,8 @@ class ForceRecord:
         )  # fmt: skip
         moves = moving_rows(qd, sd, e.Ts_s, law_hz, 1.0 / cutoff_hz)[band.kept].astype(float)
         return cls(
-            record.name, band, signals, band.kept_derivatives(), moves, record.places.decoupling, sd,
-            every_row if e.moving else band, e.schedule if e.moving else {},
+            record.name, band, signals, band.kept_derivatives(), moves, record.places.decoupling,
+            sd, every_row if e.moving else band, e.schedule if e.moving else {},
         )  # fmt: skip
 
     def counted_from(self, row: int) -> ForceRecord:

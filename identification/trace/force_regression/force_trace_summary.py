@@ -87,10 +87,25 @@ class FoundLaw:
                 self.left_share > self.least_gain
             ),
             "no amplitude of it is told from zero": not self.told,
+            f"its {' and '.join(self.at_limit)} ended at the limit of what it can be": bool(
+                self.at_limit
+            ),
             "the rows that neither fitted nor chose miss more force with what was found": more,
             "with what was found the free run is farther from these rows": farther,
         }
         return tuple(reason for reason, so in reasons.items() if so)
+
+    @property
+    def at_limit(self) -> list[str]:
+        """Its shape's numbers at the upper limit of their range, where the law does not end, if the
+        records tell them from zero."""
+        found = []
+        for q, value in zip(self.placed.effect.shape, self.placed.shape, strict=True):
+            se = self.parameters[q.name].se
+            told = se is not None and self.surely * se < value
+            if told and value >= q.high and not q.ends:
+                found.append(q.name)
+        return found
 
     @property
     def unequal(self) -> bool:

@@ -1,13 +1,16 @@
-"""Find the periods over a position that the missing force has: start values of a cogging's pitch.
+"""Find periods over a position in the missing force: start values of a pitch.
 
-A cogging force is a line in the spectrum over the position, as a vibration is one over time. Over a
-travel of many periods a search would need two start values for each: the spectrum tells the few to
-begin from. Rows in which the force turns faster than the band's limit do not count.
+A cogging force is a line in the spectrum over the position, as a vibration is one over time. So is
+the size of a friction that is uneven, if the missing force is multiplied by the direction, and that
+of a motor's ripple, by its command. Over a travel of many periods a search would need two start
+values for each: the spectrum tells the few to begin from. Rows in which the force turns faster than
+the band's limit do not count.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,38 +26,71 @@ _ROWS_PER_CYCLE = 4.0
 _MOST_LINES = 3
 
 
-def position_periods(
-    point: ForceModel, records: Sequence[ForceRecord], limit_hz: float
-) -> tuple[tuple[float, ...], ...]:
-    """Return for each DOF the periods of the strongest lines of its missing force, in its unit.
+@dataclass(frozen=True)
+class Periods:
+    """Periods of the strongest lines, in the unit of a position: of the missing force of each DOF,
+    of it times the direction, and of it times the command of each actuator."""
 
-    The force is that of a fitted model below limit_hz.
-    """
+    cogging: tuple[tuple[float, ...], ...]
+    rubbing: tuple[tuple[float, ...], ...]
+    ripples: tuple[tuple[float, ...], ...]
+
+
+def position_periods(point: ForceModel, records: Sequence[ForceRecord], limit_hz: float) -> Periods:
+    """Return the periods in the missing force of a fitted model below limit_hz."""
     missing = np.concatenate([r.varying(r.missing_force(point)) for r in records])
     q, qd = (np.concatenate([r.kept[k] for r in records]) for k in (0, 1))
-    return tuple(_lines(q[:, i], qd[:, i], missing[:, i], limit_hz) for i in range(q.shape[1]))
+    n = q.shape[1]
+
+    def lines(motion: Array, pushed: int, size: Array) -> tuple[float, ...]:
+        x, speed = q @ motion, qd @ motion
+        return _lines(x, speed, missing[:, pushed], size, limit_hz)
+
+    axes = [(np.eye(n)[i], i) for i in range(n)]
+    whole = np.ones(len(q))
+    ripples = []
+    for c, motion in enumerate(records[0].signals.places.actuator_motion):
+        force = np.concatenate([_force_of(r, point, c) for r in records])
+        pushed = int(np.argmax(force.std(axis=0)))
+        ripples.append(lines(motion, pushed, force[:, pushed]))
+    return Periods(
+        tuple(lines(*axis, whole) for axis in axes),
+        tuple(lines(*axis, np.sign(qd[:, axis[1]])) for axis in axes),
+        tuple(ripples),
+    )
 
 
-def _lines(q: Array, qd: Array, missing: Array, limit_hz: float) -> tuple[float, ...]:
+def _force_of(record: ForceRecord, point: ForceModel, actuator: int) -> Array:
+    """Return the force of one actuator's command (rows, n)."""
+    places, coil = record.signals.places, record.signals.coil[:, [actuator]]
+    return record.force_of_command(point.model, coil @ places.coil_shape[[actuator]])
+
+
+def _lines(q: Array, qd: Array, missing: Array, size: Array, limit_hz: float) -> tuple[float, ...]:
     travel = float(np.ptp(q))
-    cycles = np.arange(1.0, min(_MOST_CYCLES, len(q) / _ROWS_PER_CYCLE), _APART)
+    cycles = np.arange(_APART, min(_MOST_CYCLES, len(q) / _ROWS_PER_CYCLE), _APART)
     if travel <= 0.0 or len(cycles) < 3:
         return ()
-    power = np.array([_power(q, qd, missing, travel / n, limit_hz) for n in cycles.tolist()])
-    inner = power[1:-1]
-    peaks = np.flatnonzero((inner > power[:-2]) & (inner >= power[2:])) + 1
+    power = np.array([_power(q, qd, missing, size, travel / n, limit_hz) for n in cycles.tolist()])
+    # A period longer than the travel has its peak at the begin.
+    inner, before = power[:-1], np.concatenate([[0.0], power[:-2]])
+    peaks = np.flatnonzero((inner > before) & (inner >= power[1:]))
     strongest = peaks[np.argsort(power[peaks])[::-1]][:_MOST_LINES]
     return tuple((travel / cycles[strongest]).tolist())
 
 
-def _power(q: Array, qd: Array, missing: Array, period: float, limit_hz: float) -> float:
-    """Return the squared force that a line takes where it is slower than the limit."""
+def _power(
+    q: Array, qd: Array, missing: Array, size: Array, period: float, limit_hz: float
+) -> float:
+    """Return the squared force that a line takes where it is slower than the limit, beside what is
+    in proportion to `size` (rows,), of which it is a share."""
     slow = np.abs(qd) < limit_hz * period
     if np.count_nonzero(slow) < _ROWS_PER_CYCLE * 2.0:
         return 0.0
-    turn = np.exp(2j * np.pi / period * q[slow])
+    turn = np.exp(2j * np.pi / period * q[slow]) * size[slow]
     line = np.stack([turn.real, turn.imag], axis=1)
-    line -= line.mean(axis=0)
-    force = missing[slow] - missing[slow].mean()
+    even = np.stack([np.ones(len(line)), size[slow]], axis=1)[:, : 1 if np.ptp(size) == 0.0 else 2]
+    Q = np.linalg.qr(even)[0]
+    line, force = line - Q @ (Q.T @ line), missing[slow] - Q @ (Q.T @ missing[slow])
     taken = line @ np.linalg.lstsq(line, force, rcond=None)[0]
     return float(taken @ taken)

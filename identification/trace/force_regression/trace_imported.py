@@ -156,11 +156,7 @@ def _traced(
     start = ForceModel(model, free_parameters(config), placed)
     training, start, held = _unweighed(start, fitted, limit_hz, options)
     training, declared = _weighed(training, start, (), options)
-    covered = replace(
-        covered,
-        periods=position_periods(declared, fitted, limit_hz),
-        tones_hz=missing_lines(declared, fitted),
-    )
+    covered = _with_lines(covered, declared, fitted, limit_hz)
     table = searched_effects(effects, declared.placed, places, covered, overlap(records))
     free = [e for e in table.free if e.where[0] in places.dof]
 
@@ -208,6 +204,20 @@ def _traced(
         reported,
         (*notes, *held, *table.notes, *_at_limits(found.point)), options,
     )  # fmt: skip
+
+
+def _with_lines(
+    covered: Extent, declared: ForceModel, fitted: tuple[ForceRecord, ...], limit_hz: float
+) -> Extent:
+    """Return the range of records with the lines of the missing force over position and time."""
+    periods = position_periods(declared, fitted, limit_hz)
+    return replace(
+        covered,
+        periods=periods.cogging,
+        rubbing=periods.rubbing,
+        ripples=periods.ripples,
+        tones_hz=missing_lines(declared, fitted),
+    )
 
 
 def _at_limits(point: ForceModel) -> tuple[str, ...]:

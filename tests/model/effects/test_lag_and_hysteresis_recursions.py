@@ -263,3 +263,21 @@ def test_oscillator_driven_by_a_smooth_force(frequency_hz: float, damping: float
     found = smooth_oscillator(force(t), frequency_hz, damping, Ts_s)
     assert np.all(np.abs(found - exact).max(axis=0) < 1e-5 * exact.std(axis=0))
     assert smooth_oscillator(np.ones(1), 5.0, 0.1, Ts_s).shape == (1, 2)
+
+
+@pytest.mark.parametrize(("frequency_hz", "damping"), [(30.0, 0.6), (200.0, 1.0), (5.0, 0.01)])
+def test_second_order_lag_moves_a_mass_as_its_mean_and_moment(
+    frequency_hz: float, damping: float
+) -> None:
+    held = np.random.default_rng(3).standard_normal(40)
+    mean, moment = lag_and_hysteresis_recursions.resonant(held, frequency_hz, damping, TS)
+    w, start = 2 * np.pi * frequency_hz, [held[0], 0.0, 0.0, 0.0]
+    for row, command in enumerate(held):
+
+        def rates(t: float, s: np.ndarray, command: float = command) -> list[float]:
+            pull = w * w * (command - s[0]) - 2 * damping * w * s[1]
+            return [s[1], pull, s[0], s[0] * (t / TS - 0.5)]
+
+        end = solve_ivp(rates, (0.0, TS), start, rtol=1e-9, atol=1e-12).y[:, -1]
+        np.testing.assert_allclose([mean[row], moment[row]], end[2:] / TS, rtol=1e-5, atol=1e-7)
+        start = [*end[:2], 0.0, 0.0]

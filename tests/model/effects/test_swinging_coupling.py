@@ -1,15 +1,22 @@
-"""Test the coupling with a swinging arm against Lagrange's equations of a pendulum on a cart."""
+"""Test the coupling with swinging arms against Lagrange: a pendulum on a cart, two links."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import pytest
 from effect_test_helpers import rig_places
+from numpy.typing import NDArray
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.trace.records.record_from_log import imported_places
 from levid.model.effects.base import Placed, Signals
 from levid.model.effects.candidate_effects import all_effects
+
+Array = NDArray[np.float64]
+Energy = Callable[[float, float, float, float], float]
 
 MODEL = """
 levid: model
@@ -41,3 +48,52 @@ def test_force_is_what_the_declared_coupling_lacks() -> None:
     np.testing.assert_allclose(h * qdd[:, 1] - force[:, 0], on_cart)
     np.testing.assert_allclose(h * qdd[:, 0] - force[:, 1], on_arm)
     assert not [e for e in all_effects(rig_places()) if e.key == "inertia.swinging"]
+
+
+ARM = MODEL.replace("name: x, unit: m}", "name: x, unit: rad}").replace(
+    "f, unit: N}", "f, unit: N m}"
+)
+
+
+@pytest.mark.parametrize("key", ["inertia.jointed", "inertia.two_links"])
+def test_two_links_have_the_force_of_their_lagrangian(key: str) -> None:
+    """The kinetic energy of the coupling is that of bent links, at every pose and motion."""
+    places = imported_places(parse_text(ARM, ModelConfig, "arm"))
+    rng = np.random.default_rng(2)
+    q, qd, qdd = (rng.standard_normal((50, 2)) for _ in range(3))
+    none = tuple(np.zeros(50) for _ in range(6))
+    s = Signals(1e-2, np.arange(50) * 1e-2, q, qd, qdd, np.zeros((50, 1)), *none, 0, places)
+    effect = next(e for e in all_effects(places) if e.key == key)
+    assert effect.where == ("x", "arm")
+    size, bent = 0.3, 0.4  # h, and the angle at which both DOF are zero
+    found = Placed(effect, (), (size * np.cos(bent), size * np.sin(bent))).term(s).force
+
+    def energy(x: float, a: float, v: float, w: float) -> float:
+        if key == "inertia.jointed":
+            return float(size * np.cos(a + bent) * (v * v + v * w))
+        return float(size * np.cos(a - x + bent) * v * w)
+
+    declared = energy_force(lambda x, a, v, w: energy(0.0, 0.0, v, w), q, qd, qdd)
+    np.testing.assert_allclose(
+        found, declared - energy_force(energy, q, qd, qdd), atol=1e-4 * np.abs(found).max()
+    )
+
+
+def energy_force(energy: Energy, q: Array, qd: Array, qdd: Array) -> Array:
+    """Return d/dt dT/dq' - dT/dq (N, 2) by differences along a short motion."""
+    h, t = 1e-4, 1e-3
+
+    def slope(point: Array, k: int) -> float:
+        step = np.zeros(4)
+        step[k] = h
+        return (energy(*(point + step)) - energy(*(point - step))) / (2.0 * h)
+
+    found = np.zeros_like(q)
+    for row in range(len(q)):
+        now = np.concatenate([q[row], qd[row]])
+        way = np.concatenate([qd[row], qdd[row]])
+        bend = np.concatenate([0.5 * qdd[row], np.zeros(2)])
+        later, before = (now + x * way + x * x * bend for x in (t, -t))
+        for i in range(2):
+            found[row, i] = (slope(later, 2 + i) - slope(before, 2 + i)) / (2 * t) - slope(now, i)
+    return found

@@ -5,9 +5,14 @@ The seeds are some that showed a mistake once; benchmarks/trace/imported_plants.
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
+from levid.benchmarks.trace import imported_plants
 from levid.benchmarks.trace.imported_plants import scored
+from levid.model.effects.base import Effect
+from levid.model.effects.candidate_effects import all_effects
 
 
 @pytest.mark.parametrize(
@@ -16,6 +21,8 @@ from levid.benchmarks.trace.imported_plants import scored
         ("pendulum", "loose_mass", 700_000),  # a resonance at 0.67 Hz
         ("stage", "saturation", 700_000),  # of the torque, which is a sixtieth of the force
         ("drive", "quantised", 700_000),  # 33 levels
+        ("drive", "force_ripple", 700_000),
+        ("pendulum", "uneven_friction", 700_000),  # its period is longer than the travel
         ("pendulum", "drift", 700_000),  # a law of heat with a long time constant is alike
     ],
 )
@@ -46,8 +53,14 @@ def test_a_contact_is_found_from_a_start_at_zero() -> None:
     assert all(ok for ok, _ in found.inside)
 
 
-def test_a_name_is_in_doubt_where_a_free_form_explains_more() -> None:
-    # Friction that changes along the way is not in the table: Coulomb friction is its best.
+def test_a_name_is_in_doubt_where_a_free_form_explains_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def without(*args: Any) -> tuple[Effect, ...]:
+        return tuple(e for e in all_effects(*args) if e.key != "friction.along_position")
+
+    # If friction that changes along the way is not in the table, Coulomb friction is its best.
+    monkeypatch.setattr(imported_plants, "all_effects", without)
     found = scored("drive", "uneven_friction", 700_000)
     assert found.doubtful
 

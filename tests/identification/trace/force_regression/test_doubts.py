@@ -1,4 +1,4 @@
-"""Test the doubt of a lag whose lateness and duration differ: something else is late."""
+"""Test the doubt of a law whose numbers are not those of what it stands for."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ K: [[1.0]]
     ("lag", "tail", "se", "unequal"),
     [
         (0.017, 0.1, 1e-3, True),
-        (0.017, 0.1, 0.03, False),  # not told apart
+        (0.017, 0.08, 0.03, False),  # not told apart
         (0.004, 0.006, 1e-6, False),  # by less than half
         (0.02, 0.02, 1e-6, False),
     ],
@@ -45,3 +45,27 @@ def test_lag_and_tail_of_a_plain_lag_are_the_same(
     law = FoundLaw(rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), True, 3.0)
     assert law.doubtful == unequal
     assert any("lag and tail" in d for d in law.doubts) == unequal
+
+
+@pytest.mark.parametrize(
+    ("key", "shape", "se", "at_limit"),
+    [
+        ("flexible_mode.loose_mass", (6.5, 0.7), 0.05, True),  # no more than a mass with a damper
+        ("flexible_mode.loose_mass", (6.5, 0.3), 0.05, False),
+        ("flexible_mode.loose_mass", (6.5, 0.7), 0.5, False),  # not told
+        ("saturation", (1.0, 1000.0), 0.05, False),  # a hard limit
+    ],
+)
+def test_a_law_at_the_limit_of_its_shape_is_in_doubt(
+    key: str, shape: tuple[float, ...], se: float, at_limit: bool
+) -> None:
+    places = imported_places(parse_text(MODEL, ModelConfig, "arm"))
+    (effect,) = (e for e in all_effects(places) if e.key == key)
+    rated = Rated(Placed(effect, shape, (0.1,)), None, 0.1)  # type: ignore[arg-type]
+    numbers = {
+        q.name: EffectParameter(value=value, unit=q.unit, se=se)
+        for q, value in zip(effect.shape, shape, strict=True)
+    }
+    law = FoundLaw(rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), True, 3.0)
+    assert law.doubtful == at_limit
+    assert any("damping ended at the limit" in d for d in law.doubts) == at_limit

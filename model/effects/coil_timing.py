@@ -109,8 +109,9 @@ def _lag(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
 
 
 def _second_order(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
-    F = signals.coil[:, coil]
-    return [on_coil(signals, coil, with_moment(*resonant(F, *shape, signals.Ts_s)) - F)]
+    F, (frequency, damping) = signals.coil[:, coil], shape
+    late = with_moment(*resonant(F, frequency, damping, signals.Ts_s))
+    return [on_coil(signals, coil, late - F)]
 
 
 def _delay(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:

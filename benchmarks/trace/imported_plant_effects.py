@@ -85,13 +85,20 @@ LAWS = {
     "uneven_friction": Law(Kind.RUBBED_UNEVENLY, ("friction",)),
     "drag_15": Law(Kind.DRAG_15, ("damping",), listed=False),
     "force_ripple": Law(Kind.RIPPLE, ("torque_ripple",), True),
+    "two_gains": Law(Kind.TWO_GAINS, (_ACTUATOR,), True, "actuator.asymmetric", ("a",)),
+    "creep": Law(
+        Kind.CREEP, ("viscoelasticity",), effect="stiffness.viscoelastic", names=("k", "tau")
+    ),
+    "rate_limit": Law(Kind.SLEWED, ("rate_limit",), True),
+    "second_order": Law(Kind.SECOND_ORDER, ("actuator_lag",), True),
 }  # fmt: skip
 """Effects by name."""
 
 _ANYWHERE = (
     "none", "cubic_stiffness", "quadratic_stiffness", "drag", "stop", "loose_mass",
     "squared_actuator", "cubic_actuator", "force_with_speed", "dead_zone", "saturation",
-    "quantised", "drift", "lag", "delay", "drag_15",
+    "quantised", "drift", "lag", "delay", "drag_15", "two_gains", "creep", "rate_limit",
+    "second_order",
 )  # fmt: skip
 _RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction")
 _LONG = ("cogging", "force_ripple")
@@ -233,9 +240,7 @@ def _numbers(
     v, pitch = w * rng.uniform(0.005, 0.03), 4.0 * q / rng.uniform(3.0, 12.0)
     peak, share, phase = rng.uniform(0.3, 0.8), rng.uniform(0.1, 0.4), rng.uniform(0.0, 2 * np.pi)
     stop = np.quantile(plain.q[:, dof], rng.uniform(0.5, 0.8))
-    spectrum = np.abs(np.fft.rfft(plain.a[:, dof]))[1:] ** 2
-    seconds, cycles = len(plain.u) * plant.Ts_s, np.arange(1, len(spectrum) + 1)
-    middle = float(cycles @ spectrum / spectrum.sum() / seconds)
+    seconds, middle = len(plain.u) * plant.Ts_s, _middle_hz(plant, plain, dof)
     value = {name: number for name, (number, _) in plant.parameters.items()}
     mass = value[next(iter(value))]
     b, k, weight = plant.gain.max(), value.get("k", 1.0), 9.81 * mass
@@ -265,6 +270,10 @@ def _numbers(
         Kind.QUANTISED: (0.3 * u,),
         Kind.DRIFT: (0.3 / seconds,),
         Kind.LAG: (2.0 * plant.Ts_s,),
+        Kind.TWO_GAINS: (0.1,),
+        Kind.CREEP: (tenth / q, 1.0 / (2.0 * np.pi * middle) * rng.uniform(0.3, 3.0)),
+        Kind.SLEWED: (0.3 / (2.0 * np.pi * middle * u),),
+        Kind.SECOND_ORDER: (plant.Ts_s, rng.uniform(0.4, 1.0)),
         Kind.DELAY: (0.5 * plant.Ts_s,),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))
@@ -272,13 +281,22 @@ def _numbers(
 
 def _most(kind: Kind, plant: Plant, plain: Motion, place: int) -> float:
     """Return the largest size of an effect that stays what it is."""
-    u = _command(plain, place).std()
+    u, dof = _command(plain, place).std(), min(place, plain.q.shape[1] - 1)
     seconds = len(plain.u) * plant.Ts_s
     return {
-        Kind.GAP: plain.q[:, min(place, plain.q.shape[1] - 1)].std(), Kind.DELAY: plant.Ts_s,
+        Kind.GAP: plain.q[:, dof].std(), Kind.DELAY: plant.Ts_s,
         Kind.QUANTISED: 1.5 * u, Kind.DEAD_ZONE: u, Kind.SATURATION: 1.2 / u,
         Kind.DRIFT: 0.8 / seconds, Kind.LAG: 30.0 * plant.Ts_s, Kind.RIPPLE: 0.8,
+        Kind.TWO_GAINS: 0.5, Kind.SECOND_ORDER: 10.0 * plant.Ts_s,
+        Kind.SLEWED: 1.0 / (np.pi * _middle_hz(plant, plain, dof) * u),
     }.get(kind, np.inf)  # fmt: skip
+
+
+def _middle_hz(plant: Plant, plain: Motion, dof: int) -> float:
+    """Return the mean frequency of a DOF's acceleration, by its power."""
+    spectrum = np.abs(np.fft.rfft(plain.a[:, dof]))[1:] ** 2
+    cycles = np.arange(1, len(spectrum) + 1)
+    return float(cycles @ spectrum / spectrum.sum() / (len(plain.u) * plant.Ts_s))
 
 
 def _command(plain: Motion, place: int) -> Array:

@@ -48,6 +48,10 @@ class Kind(IntEnum):
     DELAY = 22  # F = u(t - s), s less than a period
     RIPPLE = 23  # F = u (1 + s sin(2 pi q / pitch))
     MAGNET = 24  # s ((1 + u / i0)^2 / (1 - q / y0)^2 less its linear part): number s, i0, y0
+    TWO_GAINS = 25  # F = u + s |u|
+    CREEP = 26  # -s (q - p), p follows q with the time constant
+    SLEWED = 27  # F follows u by at most 1 / s in a second
+    SECOND_ORDER = 28  # F'' + 2 damping w F' + w^2 F = w^2 u, w = 1 / s
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,8 @@ class Acting(NamedTuple):
 def simulated(plant: Linear, v: Array, rng: np.random.Generator, *effects: Acting) -> Motion:
     """Return the motion for reference signals v (N, m) of a plant that starts at rest.
 
-    Effects of one input act in their order. One lag and one mass on a spring have a state.
+    Effects of one input act in their order. One of a lag, a creep and a slew has a state, and one
+    of a mass on a spring and a second-order lag.
     """
     n = len(plant.M)
     noise = plant.noise * rng.normal(size=(len(v), n))
@@ -147,6 +152,8 @@ def _on_input(  # noqa: PLR0911 - as above
         return np.round(u / s[0]) * s[0]
     if kind == Kind.DRIFT:
         return u * (1.0 - s[0] * t_s)
+    if kind == Kind.TWO_GAINS:
+        return u + s[0] * abs(u)
     if kind == Kind.RIPPLE:
         return u * (1.0 + s[0] * np.sin(2.0 * np.pi * q / s[1]))
     return u
@@ -156,7 +163,7 @@ _dof_force = njit(_on_dof)
 _input_force = njit(_on_input)
 
 
-def _integrate(
+def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
     v: Array, noise: Array, Ts_s: float, steps: int, arrays: tuple[Array, ...],
     kinds: NDArray[np.int64], places: NDArray[np.int64], four: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array]:  # fmt: skip
@@ -186,6 +193,16 @@ def _integrate(
                     elif kind == Kind.LAG:
                         lag_rate = (F[place] - lag_mid) / s[0]
                         F[place] = lag_mid
+                    elif kind == Kind.SLEWED:
+                        left, most = F[place] - lag_mid, 1.0 / s[0]
+                        lag_rate = min(max(left / h, -most), most)
+                        F[place] = lag_mid
+                    elif kind == Kind.CREEP:
+                        lag_rate = (q_mid[place] - lag_mid) / s[1]
+                        extra[place] -= s[0] * (q_mid[place] - lag_mid)
+                    elif kind == Kind.SECOND_ORDER:
+                        pull = (hung_mid - F[place]) / s[0] ** 2 + 2.0 * s[1] * hung_w_mid / s[0]
+                        F[place] = hung_mid
                     elif kind == Kind.DELAY:
                         if step < round(s[0] / h):
                             F[place] = before[place]

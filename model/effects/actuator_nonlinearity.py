@@ -1,13 +1,15 @@
-"""Static nonlinearity of an actuator: squared, cubic, falling with the speed, quantised.
+"""Static nonlinearity of an actuator: squared, cubic, asymmetric, falling with speed, quantised.
 
 A valve, a propeller or a fan gives a force proportional to the square of its command, with its sign
 (Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2011, ch. 9); an actuator of
-one direction has a square without a sign. The force of a motor at its voltage limit and of a pump
-falls with the speed, in proportion to the command. A back-EMF alone gives a force proportional to
-the speed; the declared damping contains it. A converter with few bits rounds the command. All of
-these act on the command before delay, hold and lag. Signature: a force error that depends on the
-command of one actuator, equally at all frequencies, with harmonics at large amplitudes; even
-harmonics for the square without sign, odd ones for the others.
+one direction has a square without a sign, and a cylinder with one rod another gain in each
+direction (Merritt, *Hydraulic Control Systems*, 1967). The force of a motor at its voltage limit
+and of a pump falls with the speed, in proportion to the command. A back-EMF alone gives a force
+proportional to the speed; the declared damping contains it. A converter with few bits rounds the
+command. All of these act on the command before delay, hold and lag. Signature: a force error that
+depends on the command of one actuator, equally at all frequencies, with harmonics at large
+amplitudes; even harmonics for the square without sign and the gains of two directions, odd ones for
+the others.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ _POWERS = {
     "squared": ("Actuator with a squared characteristic", 2, "F |F|"),
     "quadratic": ("Quadratic nonlinearity of an actuator", 2, "F^2"),
     "cubic": ("Cubic nonlinearity of an actuator", 3, "F^3"),
+    "asymmetric": ("Actuator with another gain in each direction", 1, "|F|"),
 }
 _KEY = re.compile(r"actuator\.quadratic(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?")
 _LINEAR = "the part linear around the mean command: gain; the mean: constant force"
@@ -51,6 +54,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             _static(places, c, "squared", 0.0),
             _static(places, c, "quadratic", extent.mean_command(c)),
             _static(places, c, "cubic", 0.0),
+            _static(places, c, "asymmetric", 0.0),
         ]
         found.append(
             Effect(
@@ -109,7 +113,7 @@ def _static(places: Places, coil: int, name: str, at: float) -> Effect:
         "actuator_nonlinearity",
         (places.actuator(coil),),
         f"force = F + a {added}" if not at else f"force = F + a (F - F_m)^2, F_m = {at:g}",
-        (Quantity("a", per_unit(places.command_unit(coil), power - 1)),),
+        (Quantity("a", per_unit(places.command_unit(coil), power - 1) if power > 1 else "1"),),
         partial(_power, coil=coil, name=name, at=at),
         absorbed_by=_LINEAR,
         told_apart_by=_TWO_AMPLITUDES,
@@ -120,7 +124,8 @@ def _power(
     signals: Signals, _shape: Sequence[float], *, coil: int, name: str, at: float
 ) -> list[Term]:
     F = signals.coil[:, coil] - at
-    return [on_coil(signals, coil, {"squared": F * np.abs(F), "quadratic": F * F}.get(name, F**3))]
+    laws = {"squared": F * np.abs(F), "quadratic": F * F, "asymmetric": np.abs(F)}
+    return [on_coil(signals, coil, laws.get(name, F**3))]
 
 
 def _times_speed(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:

@@ -1,4 +1,4 @@
-"""Sensors of a plant with one output for each DOF: nonlinear, late, with a part of another output.
+"""Sensors of a plant with one output for each DOF: nonlinear, eccentric, late, mixed.
 
 The position is a function of the reading, as a calibration states it, so that the force of a record
 is linear in the numbers; the reading of a simulated motion follows from its inverse. A gain is a
@@ -6,8 +6,12 @@ change of units and is not told from the model. A cubic sensor at low frequencie
 inertia and damping, which act on the true motion, tell the two apart. The lag of the only sensor is
 that of the only actuator if the plant is linear.
 
+The disk of an encoder that is not centred on its shaft reads a sine of the angle too much, once a
+revolution.
+
 Sources: Fleming, *A review of nanometer resolution position sensors*, Sensors and Actuators A 190,
-2013 (nonlinearity, bandwidth, crosstalk).
+2013 (nonlinearity, bandwidth, crosstalk); Hagiwara et al., *A method of processing the output
+signal of rotary encoders*, IEEE Trans. Instrumentation and Measurement 41, 1992 (eccentricity).
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from scipy.interpolate import CubicSpline
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_sensor
 from .force_units import per_unit, ratio
+from .gravity import RADIANS
 from .lag_and_hysteresis_recursions import lagged_motion
 
 _LATE_S = 2e-3
@@ -51,6 +56,21 @@ def effects(places: Places) -> list[Effect]:
                     absorbed_by="at low frequencies: a nonlinear spring",
                     told_apart_by=_AMPLITUDES,
                     along_motion=partial(_bent_reading, sensor=i, power=power),
+                )
+            )
+        if unit in RADIANS and unit != "1":
+            found.append(
+                Effect(
+                    "reading.eccentric",
+                    "Eccentric encoder",
+                    "sensor_nonlinearity",
+                    (dof,),
+                    "position = r + a sin r + b (cos r - 1), r the reading, in its sines in rad",
+                    (Quantity("a", unit), Quantity("b", unit)),
+                    partial(_eccentric, sensor=i, radians=RADIANS[unit]),
+                    absorbed_by="at small angles: gain of the sensor",
+                    told_apart_by="turning by a revolution or more",
+                    along_motion=partial(_eccentric_reading, sensor=i, radians=RADIANS[unit]),
                 )
             )
         found += [
@@ -111,6 +131,13 @@ def _power(signals: Signals, _shape: Sequence[float], *, sensor: int, power: int
     return [on_sensor(signals, sensor, -(r**power))]
 
 
+def _eccentric(
+    signals: Signals, _shape: Sequence[float], *, sensor: int, radians: float
+) -> list[Term]:
+    angle = radians * signals.q[:, sensor]
+    return [on_sensor(signals, sensor, -x) for x in (np.sin(angle), np.cos(angle) - 1.0)]
+
+
 def _ahead(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
     return [on_sensor(signals, sensor, -signals.qd[:, sensor])]
 
@@ -136,6 +163,19 @@ def _bent_reading(
     for _ in range(_NEWTON_STEPS):
         slope = 1.0 + power * bend * r ** (power - 1)
         r = r - (r + bend * r**power - h) / np.maximum(slope, _LEAST_SLOPE)
+    return on_sensor(signals, sensor, r - h)
+
+
+def _eccentric_reading(
+    signals: Signals, _shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int,
+    radians: float,
+) -> Term:  # fmt: skip
+    h, (a, b) = signals.q[:, sensor], amplitudes
+    r = h.copy()
+    for _ in range(_NEWTON_STEPS):
+        sine, cosine = np.sin(radians * r), np.cos(radians * r)
+        slope = 1.0 + radians * (a * cosine - b * sine)
+        r = r - (r + a * sine + b * (cosine - 1.0) - h) / np.maximum(slope, _LEAST_SLOPE)
     return on_sensor(signals, sensor, r - h)
 
 

@@ -1,9 +1,11 @@
-"""Nonlinear stiffness of the rods: cubic, quadratic, one-sided.
+"""Stiffness that is not linear: cubic, quadratic, one-sided, viscoelastic.
 
 Clamped rods in bending stretch as they deflect, so their force has a cubic part (Duffing; Kovacic
 and Brennan, *The Duffing Equation*, 2011). The force of buckled rods differs between upward and
 downward deflection; a quadratic part describes this. The force of a one-sided contact has a kink
-over the deflection (Shaw and Holmes 1983). Signature: a force that depends on the pose only, not on
+over the deflection (Shaw and Holmes 1983). Rubber and polymers creep: a spring in series with a
+damper, beside the declared one, is soft when slow and stiff when fast (Lakes, *Viscoelastic
+Materials*, 2009, ch. 2). Signature: a force that depends on the pose only, not on
 the speed; the cubic part responds at odd lines of a multisine, the quadratic part at even lines and
 in the mean. A sensor's nonlinearity instead looks like a force that grows with frequency squared,
 and also appears in the non-rigid part of the readings.
@@ -18,18 +20,22 @@ import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
 from .force_units import unit_power
+from .lag_and_hysteresis_recursions import lagged_motion
 from .operating_range import Extent
 from .point_force_conversion import forces, heights
 
 _WIDE = 3.0
 _CONTACTS = (-0.4, 0.0, 0.4)
 """Start positions of a contact over three standard deviations of the record with most motion."""
+_CREEP_S = (0.03, 0.3, 3.0)
 _LINEAR = "the part linear in the pose: the declared stiffness"
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return cubic, quadratic and one-sided stiffness of every DOF, and of the corner rods."""
     effect_class = "rod_stiffness" if places.beam else "stiffness"
+    # Of a spring that gives way faster than the records show, mass and damping are left.
+    shortest_s = max(0.5 / (2 * np.pi * extent.fastest_hz), 1e-4)
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
         force = places.force_unit(i)
@@ -66,6 +72,22 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 told_apart_by="two amplitudes of excitation: the kink does not move",
             )
         )
+        if not places.beam:
+            found.append(
+                Effect(
+                    "stiffness.viscoelastic",
+                    "Viscoelastic spring",
+                    "viscoelasticity",
+                    (dof,),
+                    "force = -k (q - p), p is q lagged by tau",
+                    (Quantity("k", f"{force}/{unit}", 0.0),),
+                    partial(_viscoelastic, dof=i),
+                    (Quantity("tau", "s", shortest_s, 100.0, log=True),),
+                    tuple((max(tau, shortest_s),) for tau in _CREEP_S),
+                    absorbed_by="far slower: damping; far faster: stiffness",
+                    told_apart_by="slow and fast excitation",
+                )
+            )
     if places.beam:
         found.append(
             Effect(
@@ -92,6 +114,11 @@ def _power_of_pose(
 
 def _one_sided(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     return [on_dof(signals, dof, -np.maximum(signals.q[:, dof] - shape[0], 0.0))]
+
+
+def _viscoelastic(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    q = signals.q[:, dof]
+    return [on_dof(signals, dof, lagged_motion(q, shape[0], signals.Ts_s) - q)]
 
 
 def _corners(signals: Signals, _shape: Sequence[float]) -> list[Term]:

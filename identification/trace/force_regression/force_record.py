@@ -275,6 +275,9 @@ class ForceRecord:
             late = max(round((delay_s + self.band.own_delay_s) / self.band.Ts_s), 0)
             signals = replace(self.signals, delay_cycles=late, lag_s=lag_s)
             parts = [self._part(t, delay_s, lag_s) for t in effect.build(signals, shape)]
+            if effect.linear and not self.schedule:
+                once = self._once(signals, effect, shape)
+                parts = [(force, *p[1:]) for force, p in zip(once, parts, strict=True)]
             if keep:
                 # Signals of another delay or lag are of no use any more.
                 if self._parts and next(iter(self._parts))[2:] != key[2:]:
@@ -283,6 +286,26 @@ class ForceRecord:
             else:
                 _remember(self._recent, key, parts)
         return parts
+
+    def _once(self, signals: Signals, effect: Effect, shape: tuple[float, ...]) -> list[Array]:
+        """Return the forces (rows, n) of a linear effect after the low-pass of the balance, once.
+
+        They are those of the motion below the limit, as of the model's own terms. Twice filtered,
+        such a force beside a parameter of the same signal would be another filter.
+        """
+        q, qd, qdd, _ = self.band.derivatives
+        none, no_coil = np.zeros_like(q), np.zeros_like(signals.coil)
+        of_motion = effect.build(replace(signals, q=q, qd=qd, qdd=qdd, coil=no_coil), shape)
+        of_coil = effect.build(replace(signals, q=none, qd=none, qdd=none), shape)
+        found = []
+        for moved, driven in zip(of_motion, of_coil, strict=True):
+            force = np.zeros_like(self.kept[0])
+            if moved.force is not None:
+                force = force + moved.force[self.band.kept]
+            if driven.force is not None and np.any(driven.force):
+                force = force + self.band.smoothed(driven.force)
+            found.append(force)
+        return found
 
     def _part(self, term: Term, delay_s: float, lag_s: float) -> _Part:
         band, many = self.band, self.multiplied

@@ -30,6 +30,7 @@ NUMBERS = {
     "reading.lag": ((0.02,), ()),
     "reading.delay": ((0.004,), (0.004,)),
     "reading.crosstalk": ((0.1,), ()),
+    "reading.eccentric": ((0.02, -0.01), ()),  # of the angle
 }
 
 
@@ -38,7 +39,8 @@ def places() -> Places:
 
 
 def table() -> dict[str, Effect]:
-    return {e.key: e for e in all_effects(places()) if e.where[0] == "x"}
+    every = all_effects(places())
+    return {e.key: e for e in every if e.where[0] == "x" or e.key == "reading.eccentric"}
 
 
 def motion(around_rows: bool) -> Signals:

@@ -297,6 +297,8 @@ class Effect:
     equal_numbers: tuple[str, str] | None = None
     """Two numbers, by name, that are one if the law is all there is: lateness and duration of a
     lag; None without such a pair."""
+    whole: bool = False
+    """Whether its depth is 1 where the law is all there is: other values stand for another law."""
     same_if_linear: tuple[str, ...] = ()
     """Effects, by key, that no record tells from this one in a plant that is linear otherwise."""
     linear: bool = False

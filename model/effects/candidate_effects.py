@@ -80,7 +80,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *input_crosstalk.effects(places),
         *linear_entries.effects(places),
         *relative_motion_laws.effects(places, covered),
-        *output_readings.effects(places),
+        *output_readings.effects(places, covered),
     ]
     found = resolved(found, covered.fastest_hz)
     for f_hz in covered.tones_hz:

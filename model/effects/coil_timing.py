@@ -29,6 +29,9 @@ _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"
 _LAGS = "same for all coils: the declared lag; shorter than a period: delay"
 _DELAYS = "same for all coils: the declared delay; shorter than a period: lag"
 _LATE_S = 2e-3
+_LATEST_S, _LATEST_PERIODS = 0.1, 40.0
+_APART = 2.0
+"""Ratio of neighbouring start values of a delay."""
 _DAMPING, _MOST_DAMPING = 0.7, 3.0
 _TYPICAL_HZ = 100.0
 _OVER_BAND = (0.5, 1.0, 2.0, 4.0)
@@ -66,8 +69,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "force = F + (F(t - back) - F) delay / back, by means over each period",
                 (Quantity("delay", "s", -extent.late_s),),
                 partial(_delay, coil=c),
-                (Quantity("back", "s", 1e-4, 0.1, log=True),),
-                ((_LATE_S,),),
+                (Quantity("back", "s", 1e-4, latest_s(places, extent), log=True),),
+                late_starts(places, extent),
                 absorbed_by=places.worded(_DELAYS),
                 told_apart_by=places.worded(_ONE_BY_ONE),
                 equal_numbers=("delay", "back"),
@@ -77,6 +80,22 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         if not places.beam:
             found.append(_of_second_order(places, extent, c))
     return found
+
+
+def latest_s(places: Places, extent: Extent) -> float:
+    """Return the longest delay in s that is looked for, longer in records of slow plants."""
+    if places.beam or not math.isfinite(extent.fastest_hz):
+        return _LATEST_S
+    return max(_LATEST_S, _LATEST_PERIODS / extent.fastest_hz)
+
+
+def late_starts(places: Places, extent: Extent) -> tuple[tuple[float, ...], ...]:
+    """Return start values of a delay, farther apart the longer they are."""
+    if places.beam:
+        return ((_LATE_S,),)
+    last = latest_s(places, extent)
+    count = math.ceil(math.log(last / _LATE_S) / math.log(_APART))
+    return tuple((_LATE_S * _APART**k,) for k in range(max(count, 1)))
 
 
 def _of_second_order(places: Places, extent: Extent, coil: int) -> Effect:
@@ -97,6 +116,7 @@ def _of_second_order(places: Places, extent: Extent, coil: int) -> Effect:
         tuple((share * fastest_hz, _DAMPING) for share in _OVER_BAND),
         absorbed_by=places.worded(_LAGS),
         told_apart_by=places.worded(_ONE_BY_ONE),
+        whole=True,
     )
 
 

@@ -23,18 +23,19 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_sensor
+from .coil_timing import late_starts, latest_s
 from .force_units import per_unit, ratio
 from .gravity import RADIANS
 from .lag_and_hysteresis_recursions import lagged_motion
+from .operating_range import Extent
 
-_LATE_S = 2e-3
 _NEWTON_STEPS = 20
 _LEAST_SLOPE = 0.1
 """Least change of the position per reading in Newton steps: a calibration does not turn back."""
 _AMPLITUDES = "excitation at two amplitudes, up to frequencies where inertia counts"
 
 
-def effects(places: Places) -> list[Effect]:
+def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return nonlinearity, lag and delay of every sensor, and crosstalk; empty for the rig."""
     if places.beam or places.sensors != len(places.dof):
         return []
@@ -95,8 +96,8 @@ def effects(places: Places) -> list[Effect]:
                 "position = r + (r(t + back) - r) delay / back, r the reading",
                 (Quantity("delay", "s", 0.0),),
                 partial(_later, sensor=i),
-                (Quantity("back", "s", 1e-4, 0.1, log=True),),
-                ((_LATE_S,),),
+                (Quantity("back", "s", 1e-4, latest_s(places, extent), log=True),),
+                late_starts(places, extent),
                 absorbed_by="of a linear plant with one input: a delay of the actuator",
                 told_apart_by="a second sensor or another source of force",
                 along_motion=partial(_delayed_reading, sensor=i),

@@ -48,6 +48,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 tuple((most / 2.0**k,) for k in range(1, _OCTAVES + 1)),
                 absorbed_by="above the largest rate of the command: nothing",
                 told_apart_by="excitation at two amplitudes",
+                whole=True,
             )
             for key, title, how, held in (
                 ("rate_limit", "Rate limit of a coil", "on a ramp", False),

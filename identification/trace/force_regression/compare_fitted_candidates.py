@@ -30,9 +30,9 @@ def fitted_rivals(
     `beside` is the model without them. Gains are foretold by a line, and a large effect moves the
     model's other numbers: so candidates are compared where the fit with each of them ends. What is
     not surely worse than the best is not told apart from it, nor is what equals it in a linear
-    plant, where no other effect is found. Of these the one with the fewest numbers comes first, and
-    has the others as its alternatives, but for richer laws at its place: a richer law contains most
-    simpler ones. Then come the others, best first.
+    plant, where other effects are found at its inputs only. Of these the one with the fewest
+    numbers comes first, and has the others as its alternatives, but for richer laws at its place: a
+    richer law contains most simpler ones. Then come the others, best first.
     """
     rivals = [r for r in ranking if r.instead_of is first.instead_of and confirmed(r, options)]
     fitted = list[_Fitted]()
@@ -42,8 +42,10 @@ def fitted_rivals(
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
     alike.sort(key=lambda f: f.numbers)
-    if not beside.placed:
-        # The noise of the readings makes one of the two fit better, whichever is true.
+    inputs = set(training.records[0].signals.places.actuators)
+    if all(inputs.issuperset(p.effect.where) for p in beside.placed):
+        # Behind the laws of its inputs the plant is linear. The noise of the readings makes one of
+        # the two fit better, whichever is true.
         same = {key for f in alike for key in f.rated.placed.effect.same_if_linear}
         known = [id(f) for f in alike]
         alike += [f for f in fitted if f.rated.placed.effect.key in same and id(f) not in known]

@@ -32,6 +32,7 @@ ABOUT = {
         "{limit:.3g} Hz, on the last quarter of every record"
     ),
 }
+_INEXACT_DEPTH = 0.1
 _MOST_ERROR_SHARE = 0.5
 """Largest standard error of an identified parameter, over its uncertainty before."""
 
@@ -47,8 +48,10 @@ class FoundLaw:
     form explains. least_gain: share that an effect must take. curve: free form of its signal that
     surely improves on it, None without one. grew: whether the model with all effects misses more
     force in the rows that neither fitted nor chose, and whether its free run is farther from them.
-    told: whether the force of one of its
-    amplitudes is told from zero. surely: standard errors from which on two numbers differ.
+    floors: error of the free run over what the stated noise leaves of it, at the DOF where that is
+    most, nan without them. told: whether the force of one of its
+    amplitudes is told from zero. surely: standard errors from which on two numbers differ;
+    agreement: deviations within which data agree.
     """
 
     rated: Rated
@@ -60,8 +63,10 @@ class FoundLaw:
     least_gain: float
     curve: Rated | None
     grew: tuple[bool, bool]
+    floors: float
     told: bool
     surely: float
+    agreement: float
 
     @property
     def doubtful(self) -> bool:
@@ -92,8 +97,26 @@ class FoundLaw:
             ),
             "the rows that neither fitted nor chose miss more force with what was found": more,
             "with what was found the free run is farther from these rows": farther,
+            f"with what was found the free run is {self.floors:.2g} times the noise off": (
+                self.floors > self.agreement
+            ),
+            f"its depth would be 1, but is {self.depth:.2g}": self.partial,
         }
         return tuple(reason for reason, so in reasons.items() if so)
+
+    @property
+    def depth(self) -> float:
+        """Its depth, 1 for a law of which it is the whole."""
+        found = self.parameters.get("depth")
+        return 1.0 if found is None else found.value
+
+    @property
+    def partial(self) -> bool:
+        """Whether its depth surely differs by a tenth from 1 though it has no other value."""
+        if not self.placed.effect.whole or self.alternatives:
+            return False
+        se = self.parameters["depth"].se
+        return se is not None and abs(self.depth - 1.0) > max(self.surely * se, _INEXACT_DEPTH)
 
     @property
     def at_limit(self) -> list[str]:
@@ -407,11 +430,21 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.options.least_gain,
                 trace.curves.get(rated.placed.effect.identity),
                 grew,
+                _floors(pooled[1]),
                 bool(np.any(surely * errors[rated.placed.effect.identity] < 1.0)),
                 surely,
+                trace.options.agreement,
             )
         )
     return tuple(laws)
+
+
+def _floors(after: PooledError) -> float:
+    """Return the largest error of a free run over its floor, nan without them."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = after.error / after.floor
+    known = ratios[np.isfinite(ratios)]
+    return float(known.max()) if len(known) else float("nan")
 
 
 def _grew(before: Array, after: Array) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from levid.config.base import parse_text
@@ -42,7 +43,9 @@ def test_lag_and_tail_of_a_plain_lag_are_the_same(
         "lag": EffectParameter(value=lag, unit="s", se=se),
         "tail": EffectParameter(value=tail, unit="s", se=se),
     }
-    law = FoundLaw(rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), True, 3.0)
+    law = FoundLaw(
+        rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), np.nan, True, 3.0, 6.0
+    )
     assert law.doubtful == unequal
     assert any("lag and tail" in d for d in law.doubts) == unequal
 
@@ -66,6 +69,33 @@ def test_a_law_at_the_limit_of_its_shape_is_in_doubt(
         q.name: EffectParameter(value=value, unit=q.unit, se=se)
         for q, value in zip(effect.shape, shape, strict=True)
     }
-    law = FoundLaw(rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), True, 3.0)
+    law = FoundLaw(
+        rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), np.nan, True, 3.0, 6.0
+    )
     assert law.doubtful == at_limit
     assert any("damping ended at the limit" in d for d in law.doubts) == at_limit
+
+
+@pytest.mark.parametrize(
+    ("depth", "se", "floors", "doubtful"),
+    [
+        (1.31, 0.01, np.nan, True),  # a delay beyond the range, as a Pade approximation has it
+        (1.05, 0.01, 1.0, False),
+        (1.31, 0.2, 1.0, False),  # not told from 1
+        (1.0, 0.01, 70.0, True),
+    ],
+)
+def test_a_partial_law_and_a_free_run_that_stays_off_are_in_doubt(
+    depth: float, se: float, floors: float, doubtful: bool
+) -> None:
+    places = imported_places(parse_text(MODEL, ModelConfig, "arm"))
+    (effect,) = (e for e in all_effects(places) if e.key == "actuator_lag.second_order")
+    rated = Rated(Placed(effect, (3.0, 0.7), (depth,)), None, 0.1)  # type: ignore[arg-type]
+    numbers = {
+        q.name: EffectParameter(value=value, unit=q.unit, se=se)
+        for q, value in zip((*effect.amplitudes, *effect.shape), (depth, 3.0, 0.7), strict=True)
+    }
+    law = FoundLaw(
+        rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), floors, True, 3.0, 6.0
+    )
+    assert law.doubtful == doubtful

@@ -73,7 +73,8 @@ def test_socket_whose_path_vanished_is_opened_again(
 ) -> None:
     with Client(running.path) as connected:
         if folder:  # as that of a user's session, when he logs out
-            shutil.rmtree(running.path.parent)
+            # At once: a folder that is half removed may have a new socket already.
+            shutil.rmtree(running.path.parent.rename(running.path.parent.with_name("gone")))
         else:
             running.path.unlink()
         wait_until(lambda: running.said, _GIVE_UP_S)
@@ -132,3 +133,23 @@ def test_one_of_two_daemons_started_at_once_is_refused(
     assert "another daemon already uses this socket" in str(error)
     assert listens(path)
     opened.close()
+
+
+def test_folder_that_is_removed_while_the_socket_opens_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, removed = tmp_path / "run" / "levid.sock", list[bool]()
+    checked = unix_listener.require_own_folder
+
+    def removing(of: Path) -> None:
+        checked(of)
+        if not removed:
+            removed.append(True)
+            shutil.rmtree(of.parent)
+
+    monkeypatch.setattr(unix_listener, "require_own_folder", removing)
+    listener = UnixListener(path)
+    with listener.open(0o660):
+        assert listener.in_place
+        assert removed
+    listener.close()

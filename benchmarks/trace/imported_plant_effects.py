@@ -271,9 +271,9 @@ def _numbers(
         Kind.DRIFT: (0.3 / seconds,),
         Kind.LAG: (2.0 * plant.Ts_s,),
         Kind.TWO_GAINS: (0.1,),
-        Kind.CREEP: (tenth / q, 1.0 / (2.0 * np.pi * middle) * rng.uniform(0.3, 3.0)),
+        Kind.CREEP: (tenth / q, 1.0 / (2.0 * np.pi * middle) * 6.0 * peak**2),
         Kind.SLEWED: (0.3 / (2.0 * np.pi * middle * u),),
-        Kind.SECOND_ORDER: (plant.Ts_s, rng.uniform(0.4, 1.0)),
+        Kind.SECOND_ORDER: (plant.Ts_s, 0.2 + 2.0 * share),
         Kind.DELAY: (0.5 * plant.Ts_s,),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))

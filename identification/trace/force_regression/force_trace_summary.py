@@ -49,8 +49,8 @@ class FoundLaw:
     surely improves on it, None without one. grew: whether the model with all effects misses more
     force in the rows that neither fitted nor chose, and whether its free run is farther from them.
     floors: error of the free run over what the stated noise leaves of it, at the DOF where that is
-    most, nan without them. told: whether the force of one of its
-    amplitudes is told from zero. surely: standard errors from which on two numbers differ;
+    most, nan without them or if hardly any of the error before is left. told: whether the force of
+    one of its amplitudes is told from zero. surely: standard errors from which on two numbers differ;
     agreement: deviations within which data agree.
     """
 
@@ -430,7 +430,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.options.least_gain,
                 trace.curves.get(rated.placed.effect.identity),
                 grew,
-                _floors(pooled[1]),
+                _floors(*pooled, trace.options.alike),
                 bool(np.any(surely * errors[rated.placed.effect.identity] < 1.0)),
                 surely,
                 trace.options.agreement,
@@ -439,10 +439,14 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
     return tuple(laws)
 
 
-def _floors(after: PooledError) -> float:
-    """Return the largest error of a free run over its floor, nan without them."""
+def _floors(before: PooledError, after: PooledError, inexact: float) -> float:
+    """Return the largest error of a free run over its floor, nan without them.
+
+    Of a right law, what its equation may be wrong by is left, as a share of the error before:
+    DOF with less do not count.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = after.error / after.floor
+        ratios = np.where(after.error > inexact * before.error, after.error / after.floor, np.nan)
     known = ratios[np.isfinite(ratios)]
     return float(known.max()) if len(known) else float("nan")
 

@@ -132,6 +132,7 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
     "actuator.squared": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * abs(u)),
     "actuator.quadratic": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * u),
     "actuator.cubic": ((0.02,), (), lambda: lambda q, v, u: 0.02 * u**3),
+    "actuator.asymmetric": ((0.1,), (), lambda: lambda q, v, u: 0.1 * abs(u)),
     "actuator.times_speed": ((-0.02,), (), lambda: lambda q, v, u: -0.02 * u * v),
     "actuator.quantised": ((1.0,), (1.5,), lambda: lambda q, v, u: 1.5 * np.round(u / 1.5) - u),
     # The model has no lag.

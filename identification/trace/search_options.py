@@ -60,6 +60,11 @@ class SearchOptions:
         return 2.0 * self.standard_errors
 
     @property
+    def detours(self) -> int:
+        """First choices that a search of imported records tries instead: its table is longer."""
+        return 2 * self.patience
+
+    @property
     def least_squares(self) -> float:
         """Squared errors of unit variance that are as much by themselves."""
         return self.agreement**2

@@ -50,8 +50,8 @@ class FoundLaw:
     force in the rows that neither fitted nor chose, and whether its free run is farther from them.
     floors: error of the free run over what the stated noise leaves of it, at the DOF where that is
     most, nan without them or if hardly any of the error before is left. told: whether the force of
-    one of its amplitudes is told from zero. surely: standard errors from which on two numbers differ;
-    agreement: deviations within which data agree.
+    one of its amplitudes is told from zero. surely: standard errors from which on two numbers
+    differ; agreement: deviations within which data agree.
     """
 
     rated: Rated

@@ -172,7 +172,7 @@ def _with_another_choice(
         most_effects=min(len(state.rated) + 1, options.most_effects),
         fitted=options.patience,  # of a choice that leads far, the next effect stands out
     )
-    for chosen in others[: options.patience]:
+    for chosen in others[: options.detours]:
         begin = replace(chosen, point=training.fit(chosen.point))
         other, _ = _grown(begin, named, training, fewer, progress)
         if training.cost(other.point) < most:

@@ -36,17 +36,15 @@ class UnixListener:
 
     def open(self, mode: int) -> socket.socket:
         """Return a socket that listens at the path, with this file mode; raises ServerError."""
-        try:
+        with contextlib.suppress(FileNotFoundError):  # the folder was removed in between
             return self._open(mode)
-        except FileNotFoundError:
-            pass  # the folder was removed in between
         try:
             return self._open(mode)
         except FileNotFoundError as error:
             raise ServerError(f"{self._path}: cannot open the control socket: {error}") from None
 
     def _open(self, mode: int) -> socket.socket:
-        """Return the same; raises FileNotFoundError if the folder is removed meanwhile."""
+        """Return what `open` does; raises FileNotFoundError if the folder is removed meanwhile."""
         path = self._path
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:

@@ -30,10 +30,12 @@ _LAGS = "same for all coils: the declared lag; shorter than a period: delay"
 _DELAYS = "same for all coils: the declared delay; shorter than a period: lag"
 _LATE_S = 2e-3
 _LATEST_S, _LATEST_PERIODS = 0.1, 40.0
+"""Longest delay in s, and in periods of the highest frequency; the longer of both counts."""
 _APART = 2.0
 """Ratio of neighbouring start values of a delay."""
 _DAMPING, _MOST_DAMPING = 0.7, 3.0
-_TYPICAL_HZ = 100.0
+"""Damping ratio of a second-order lag to start from, and the largest one: above it is of first
+order."""
 _OVER_BAND = (0.5, 1.0, 2.0, 4.0)
 """Start values of a second-order lag's frequency over the highest one without aliasing."""
 
@@ -99,8 +101,7 @@ def late_starts(places: Places, extent: Extent) -> tuple[tuple[float, ...], ...]
 
 
 def _of_second_order(places: Places, extent: Extent, coil: int) -> Effect:
-    fastest_hz = extent.fastest_hz if math.isfinite(extent.fastest_hz) else _TYPICAL_HZ
-    highest_hz = 2.0 * max(_OVER_BAND) * fastest_hz
+    highest_hz = 2.0 * max(_OVER_BAND) * extent.highest_hz
     return Effect(
         "actuator_lag.second_order",
         places.worded("Second-order lag of a coil"),
@@ -113,7 +114,7 @@ def _of_second_order(places: Places, extent: Extent, coil: int) -> Effect:
             Quantity("frequency", "Hz", extent.slowest_hz, highest_hz, log=True),
             Quantity("damping", "1", 1e-3, _MOST_DAMPING, log=True),
         ),
-        tuple((share * fastest_hz, _DAMPING) for share in _OVER_BAND),
+        tuple((share * extent.highest_hz, _DAMPING) for share in _OVER_BAND),
         absorbed_by=places.worded(_LAGS),
         told_apart_by=places.worded(_ONE_BY_ONE),
         whole=True,

@@ -19,6 +19,7 @@ from .friction import direction, turning_speed
 from .operating_range import TRAVEL, Extent
 
 _TYPICAL_CYCLES, _WIDER = 2.0, 2.0
+"""Cycles over the travel to start from if no line is known; bounds beyond the start values."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:

@@ -20,6 +20,7 @@ _TYPICAL_HZ = 5.0
 _TYPICAL_COMMAND = 12.0
 _TYPICAL_BEAM_M = 0.2
 _TYPICAL_LATE_S = 2e-3
+_TYPICAL_HIGHEST_HZ = 100.0
 _SLOWEST_HZ, _OCTAVES = 1e-3, 6
 _RESOLVED = 0.4
 """Largest resolvable frequency over the sampling rate."""
@@ -81,6 +82,11 @@ class Extent:
         if not self.commands or abs(self.commands[coil][0]) < self.commands[coil][1]:
             return 0.0
         return self.commands[coil][0]
+
+    @property
+    def highest_hz(self) -> float:
+        """Highest frequency without aliasing, that of a typical record if none is known."""
+        return self.fastest_hz if math.isfinite(self.fastest_hz) else _TYPICAL_HIGHEST_HZ
 
     @property
     def slowest_hz(self) -> float:

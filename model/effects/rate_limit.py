@@ -3,8 +3,8 @@
 Servo valves, drives with a ramp and amplifiers at their voltage limit on an inductance have one
 (Klyde and Mitchell, *Investigating the role of rate limiting in pilot-induced oscillations*, J.
 Guidance, Control and Dynamics 27, 2004). A controller that limits the steps of its command holds it
-over each period. Signature: a lag that grows with amplitude and frequency
-of the command, and none where it changes slowly.
+over each period. Signature: a lag that grows with amplitude and frequency of the command, and none
+where it changes slowly.
 """
 
 from __future__ import annotations
@@ -22,18 +22,16 @@ from .operating_range import Extent
 
 _OCTAVES = 8
 """Start values of the limit, an octave apart, below that of no effect."""
-_TYPICAL_HZ = 100.0
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return the rate limit of every actuator; empty for the rig."""
     if places.beam:
         return []
-    fastest_hz = extent.fastest_hz if math.isfinite(extent.fastest_hz) else _TYPICAL_HZ
     found = []
     for c in range(places.coils):
         # The largest command, at the highest frequency without aliasing.
-        most = 2 * math.pi * fastest_hz * extent.largest_command((c,))
+        most = 2 * math.pi * extent.highest_hz * extent.largest_command((c,))
         unit = places.command_unit(c)
         found += [
             Effect(
@@ -66,7 +64,10 @@ def _limited(signals: Signals, shape: Sequence[float], *, coil: int, held: bool)
 
 @njit(cache=True, nogil=True)
 def _followed(F, step):  # type: ignore[no-untyped-def]
-    """Return mean, moment and end of a ramp to the command in each period, by at most `step`."""
+    """Return mean, moment and end (N,) over each period of a ramp that follows commands F (N,).
+
+    It moves by at most `step` in a period. The moment is the mean times (t / Ts - 1/2).
+    """
     mean, moment, last = np.empty(len(F)), np.empty(len(F)), np.empty(len(F))
     value = F[0]
     for row in range(len(F)):

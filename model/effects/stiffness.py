@@ -28,6 +28,7 @@ _WIDE = 3.0
 _CONTACTS = (-0.4, 0.0, 0.4)
 """Start positions of a contact over three standard deviations of the record with most motion."""
 _CREEP_S = (0.03, 0.3, 3.0)
+"""Start values of a creep's time."""
 _LINEAR = "the part linear in the pose: the declared stiffness"
 
 

@@ -20,6 +20,7 @@ from .operating_range import TRAVEL, Extent
 from .point_force_conversion import heights
 
 _TYPICAL_CYCLES, _WIDER = 5.0, 2.0
+"""Cycles over the travel to start from if no line is known; bounds beyond the start values."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:

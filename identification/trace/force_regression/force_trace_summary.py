@@ -32,7 +32,6 @@ ABOUT = {
         "{limit:.3g} Hz, on the last quarter of every record"
     ),
 }
-_INEXACT_DEPTH = 0.1
 _MOST_ERROR_SHARE = 0.5
 """Largest standard error of an identified parameter, over its uncertainty before."""
 
@@ -51,7 +50,7 @@ class FoundLaw:
     floors: error of the free run over what the stated noise leaves of it, at the DOF where that is
     most, nan without them or if hardly any of the error before is left. told: whether the force of
     one of its amplitudes is told from zero. surely: standard errors from which on two numbers
-    differ; agreement: deviations within which data agree.
+    differ; agreement: deviations within which data agree; accuracy: relative error of a right law.
     """
 
     rated: Rated
@@ -67,6 +66,7 @@ class FoundLaw:
     told: bool
     surely: float
     agreement: float
+    accuracy: float
 
     @property
     def doubtful(self) -> bool:
@@ -112,11 +112,11 @@ class FoundLaw:
 
     @property
     def partial(self) -> bool:
-        """Whether its depth surely differs by a tenth from 1 though it has no other value."""
+        """Whether its depth surely is not 1, though the law has no other value."""
         if not self.placed.effect.whole or self.alternatives:
             return False
         se = self.parameters["depth"].se
-        return se is not None and abs(self.depth - 1.0) > max(self.surely * se, _INEXACT_DEPTH)
+        return se is not None and abs(self.depth - 1.0) > max(self.surely * se, self.accuracy)
 
     @property
     def at_limit(self) -> list[str]:
@@ -434,6 +434,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 bool(np.any(surely * errors[rated.placed.effect.identity] < 1.0)),
                 surely,
                 trace.options.agreement,
+                trace.options.alike,
             )
         )
     return tuple(laws)

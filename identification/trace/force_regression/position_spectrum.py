@@ -28,8 +28,11 @@ _MOST_LINES = 3
 
 @dataclass(frozen=True)
 class Periods:
-    """Periods of the strongest lines, in the unit of a position: of the missing force of each DOF,
-    of it times the direction, and of it times the command of each actuator."""
+    """Periods of the strongest lines over the position, in its unit, strongest first.
+
+    cogging: for each DOF, of the missing force; rubbing: of its part that has the direction's sign.
+    ripples: for each actuator, of the part that is in proportion to its force.
+    """
 
     cogging: tuple[tuple[float, ...], ...]
     rubbing: tuple[tuple[float, ...], ...]

@@ -43,10 +43,11 @@ def damping(signals: Signals, _shape: Sequence[float]) -> list[Term]:
     return [Term(force=-signals.qd)]
 
 
-def missing_share(law_hz: float) -> float:
+def missing_share(law_hz: float, linear: bool = False) -> float:
     """Return the RMS difference of q' of the balance and the force of unit damping, over q'."""
     made = record(law_hz)
-    effect = Effect("d", "Damping", "damping", ("x",), "", (Quantity("d", "N s/m"),), damping)
+    effect = Effect("d", "Damping", "damping", ("x",), "", (Quantity("d", "N s/m"),), damping,
+                    linear=linear)  # fmt: skip
     (force,) = made.effect_forces(declared_model(CONFIG), effect, ())
     speed = made.kept[1]
     return float(np.std(np.abs(force) - np.abs(speed)) / np.std(speed))
@@ -69,3 +70,7 @@ def test_rows_of_a_dof_that_rests_count_where_asked() -> None:
     assert not end.moves.any()
     assert end.counted_at_rest(np.array([True])).moves.all()
     assert not end.counted_at_rest(np.array([False])).moves.any()
+
+
+def test_a_linear_term_passes_the_low_pass_once_whatever_the_limit_of_laws_is() -> None:
+    assert missing_share(LIMIT_HZ, linear=True) < 1e-9

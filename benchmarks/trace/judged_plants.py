@@ -65,15 +65,20 @@ def traced(
     flown: Sequence[tuple[Array, Array]],
     Ts_s: float,
     set_points: Sequence[Array | None] = (),
+    schedules: Sequence[Mapping[str, Array]] = (),
 ) -> ForceTrace:
     """Return the trace of records, each of inputs (rows, p) and readings (rows, n).
 
     set_points: of each record (rows, k), if a controller that is not known drives the inputs; None
-    where they are not recorded.
+    where they are not recorded. schedules: of each record the scheduling variables (rows,) by name,
+    if these move.
     """
     experiments = [
         Experiment(f"r{n}", Ts_s, u, y, {}, frozenset(), False) for n, (u, y) in enumerate(flown)
     ]
+    if schedules:
+        moved = zip(experiments, schedules, strict=True)
+        experiments = [replace(e, schedule=schedule, moving=True) for e, schedule in moved]
     if set_points:
         pairs = zip(experiments, set_points, strict=True)
         experiments = [replace(e, feedback=True, commanded=wanted) for e, wanted in pairs]

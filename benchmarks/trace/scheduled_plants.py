@@ -16,16 +16,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter
-from threadpoolctl import threadpool_limits
 
-from levid.benchmarks.trace.judged_plants import RECORDS, Named, Result, result, show_plants
+from levid.benchmarks.trace.judged_plants import RECORDS, Named, Result, result, show_plants, traced
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
-from levid.identification.trace.records.record_from_log import imported_trace_record
-from levid.model.effects.candidate_effects import all_effects
 
 Array = NDArray[np.float64]
 
@@ -59,7 +54,7 @@ class Beam:
 
     numbers: inertia j + j_s s^2, damping d, stiffness k + k_s s, weight g_s s. lever: of the
     input, 1 + lever s. travel_hz: how often the carriage goes to and fro in a second. noise_rad: of
-    the readings. size: of what the model lacks.
+    the readings. cubic, stick, late_rows: what its model lacks, in N m/rad^3, N m and rows of delay.
     """
 
     numbers: tuple[float, ...]
@@ -137,22 +132,14 @@ def declared(beam: Beam, rng: np.random.Generator) -> ModelConfig:
     return parse_text(text, ModelConfig, "model")
 
 
-def traced(beam: Beam, config: ModelConfig, seed: int) -> ForceTrace:
-    """Return the trace of a few records of a beam."""
-    records = []
-    for i in range(RECORDS):
-        u, y, s = beam.flown(RECORDS * seed + i)
-        moving = Experiment(f"r{i}", TS_S, u, y, {"s": s}, frozenset(), True)
-        records.append(imported_trace_record(moving, config))
-    with threadpool_limits(1):
-        return trace_records(records, config, all_effects, lambda *_: None)
-
-
 def judged(kind: str, seed: int) -> Result:
     """Return the result of one plant."""
     rng = np.random.default_rng(seed)
     beam = Beam.drawn(kind, rng)
-    trace = traced(beam, declared(beam, rng), seed)
+    config = declared(beam, rng)
+    flown = [beam.flown(RECORDS * seed + i) for i in range(RECORDS)]
+    schedules = [{"s": s} for _, _, s in flown]
+    trace = traced(config, [(u, y) for u, y, _ in flown], TS_S, schedules=schedules)
     point = trace.found.point
 
     def inside(_effects: Sequence[Mapping[str, Any]]) -> Iterator[bool]:

@@ -54,7 +54,7 @@ class Beam:
 
     numbers: inertia j + j_s s^2, damping d, stiffness k + k_s s, weight g_s s. lever: of the
     input, 1 + lever s. travel_hz: how often the carriage goes to and fro in a second. noise_rad: of
-    the readings. cubic, stick, late_rows: what its model lacks, in N m/rad^3, N m and rows of delay.
+    the readings. cubic in N m/rad^3, stick in N m and late_rows of delay are what its model lacks.
     """
 
     numbers: tuple[float, ...]

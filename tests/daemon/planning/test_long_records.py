@@ -14,8 +14,9 @@ from levid.daemon.planning.plan import plan_session
 from levid.model.geometry import decoupling_matrix, shape_matrix
 
 LIMIT_BYTES = 300e6
-CPU_S = 2.0
-"""For 28,000 s at 1 kHz, beyond what the same command takes for a short session."""
+LONGER_COSTS = 5.0
+"""Processor time for records 1000 times as long, over that for short ones in the same run: about
+two, or three on a busy machine, for most of both is Python's start."""
 SINE = "signal: multisine, period_s: 8, band_hz: [1, 100]"
 KINDS = {
     "white noise": ("", "psi, theta, z", "duration_s: {s}"),
@@ -67,7 +68,7 @@ def test_check_takes_little_memory_and_time(tmp_path) -> None:
         code, text, peak, cost_s[length_s] = levid("check", file)
         assert code == 0, text
         assert peak < LIMIT_BYTES
-    assert cost_s[4000.0] < cost_s[4.0] + CPU_S
+    assert cost_s[4000.0] < LONGER_COSTS * cost_s[4.0]
 
 
 @pytest.mark.parametrize("kind", KINDS)

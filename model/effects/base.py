@@ -301,6 +301,9 @@ class Effect:
     """Whether its depth is 1 where the law is all there is: other values stand for another law."""
     same_if_linear: tuple[str, ...] = ()
     """Effects, by key, that no record tells from this one in a plant that is linear otherwise."""
+    before_lag: str = ""
+    """Key of the law that does the same to the command, before a lag that the actuator has; this
+    one acts behind it. Empty for laws that have no such twin."""
     linear: bool = False
     """Whether its force is in proportion to a term of a linear model: no other law, which becomes
     one at the end of its range, is then meant."""
@@ -390,44 +393,6 @@ def total(terms: Sequence[Term]) -> Term:
                 before = sums[i]
                 sums[i] = part if before is None else before + part
     return Term(*sums)
-
-
-def together(placed: Sequence[Placed], signals: Signals) -> Term:
-    """Return the sum of effects.
-
-    A scale error of all readings counts for the others' readings, and arms that differ for the
-    heights and torques of the others.
-    """
-    scales = [p for p in placed if p.effect.scales_readings]
-    arms = [p for p in placed if p.effect.sensor_arms or p.effect.coil_arms]
-    common = {id(p) for p in (*scales, *arms)}
-    there = with_sensor_arms(arms, signals)
-    found = total([p.term(there) for p in placed if id(p) not in common])
-    if arms and found.held is not None:
-        errors = [(p.effect.coil_arms, p.amplitudes[0]) for p in arms]
-        longer = 1.0 + _by_dof(errors, found.held.shape[1])
-        found = replace(found, held=longer * found.held)
-    found = total([found, *(p.term(signals) for p in arms)])
-    if scales and found.gap is not None:
-        factor = float(np.prod([1.0 + p.amplitudes[0] for p in scales]))
-        found = replace(found, gap=factor * found.gap)
-    return total([found, *(p.term(signals) for p in scales)])
-
-
-def with_sensor_arms(placed: Sequence[Placed], signals: Signals) -> Signals:
-    """Return the signals with heights where the sensors stand by what was found of their arms."""
-    errors = [(p.effect.sensor_arms, p.amplitudes[0]) for p in placed if p.effect.sensor_arms]
-    if not errors:
-        return signals
-    return replace(signals, sensor_arms=tuple(_by_dof(errors, signals.q.shape[1]).tolist()))
-
-
-def _by_dof(errors: Sequence[tuple[tuple[int, ...], float]], count: int) -> Array:
-    """Return relative errors of arms by DOF (n,), of (DOF, error) of each effect."""
-    arms = np.zeros(count)
-    for dof, error in errors:
-        arms[list(dof)] += error
-    return arms
 
 
 def resolved(effects: Sequence[Effect], fastest_hz: float) -> list[Effect]:

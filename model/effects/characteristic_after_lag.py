@@ -77,6 +77,7 @@ def _after(places: Places, coil: int, name: str, at: float) -> Effect:
         partial(_after_lag, coil=coil, square=partial(_square, name=name, at=at)),
         absorbed_by=_LINEAR,
         told_apart_by=_TOLD_APART,
+        before_lag=f"actuator.{name}" + (f"[{at:g}]" if at else ""),
     )
 
 

@@ -5,13 +5,16 @@ hard (Mohan, Undeland, Robbins, *Power Electronics*, 2003, ch. 8): F / (1 + |F/l
 soft for p = 2 and hard for large p. Each coil carries about 8 N of weight, so the effect of a dead
 zone is visible only if a command reaches the zone. Signature: a force error that depends on one
 coil's command, equally at all frequencies: like a gain error at small amplitudes, with harmonics at
-large ones. Dead zone and saturation act on the force, after the coils' lag.
+large ones. On the rig, dead zone and saturation act on the force, after the coils' lag. Elsewhere
+they act on the command, and if the actuator has a lag they may act behind it: a valve's overlap
+does so on the spool, a magnet saturates by its current.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -41,32 +44,37 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     single = [((c,), "") for c in range(places.coils)]
     every, several = tuple(range(places.coils)), places.coils > 1 and places.one_command_unit
     together = [(every, ", same for all coils")] if several else []
-    for coils, suffix in single + together:
+    orders = (True,) if places.beam else (False, True)
+    for (coils, which), behind in product(single + together, orders):
+        twin = behind and not places.beam
+        key, suffix = ".after_lag" if twin else "", which + (" behind its lag" if twin else "")
+        after = ", F the command after the lag" if twin else ""
         where = tuple(places.actuator(c) for c in coils)
         unit, largest = places.command_unit(coils[0]), extent.largest_command(coils)
         found += [
             Effect(
-                "dead_zone",
+                "dead_zone" + key,
                 places.worded(f"Dead zone of a coil{suffix}"),
                 "dead_zone",
                 where,
-                "force = F - depth clip(F, -width, width)",
+                "force = F - depth clip(F, -width, width)" + after,
                 (Quantity("depth", "1", 0.0, 1.0),),
-                partial(_dead_zone, coils=coils),
+                partial(_dead_zone, coils=coils, behind=behind),
                 (Quantity("width", unit, 1e-3 * largest, largest, log=True),),
                 ((0.15 * largest,), (0.4 * largest,)),
                 absorbed_by="if no command comes near zero: constant force",
                 told_apart_by=places.worded(_TOLD_APART),
                 shape_of_unit_amplitude=_whole_dead_zone,
+                before_lag="dead_zone" if twin else "",
             ),
             Effect(
-                "saturation",
+                "saturation" + key,
                 places.worded(f"Saturation of a coil{suffix}"),
                 "saturation",
                 where,
-                "force = F - depth (F - F / (1 + |F/limit|^p)^(1/p)), p = hardness",
+                "force = F - depth (F - F / (1 + |F/limit|^p)^(1/p)), p = hardness" + after,
                 (Quantity("depth", "1", 0.0, 1.0),),
-                partial(_saturation, coils=coils),
+                partial(_saturation, coils=coils, behind=behind),
                 (
                     Quantity("limit", unit, 0.1 * largest, 10 * largest, log=True),
                     Quantity("hardness", "1", 1.0, _HARD, log=True, ends=True),
@@ -75,16 +83,21 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 absorbed_by="not visible far below the limit",
                 told_apart_by=places.worded(_TOLD_APART),
                 shape_of_unit_amplitude=_whole_saturation,
+                before_lag="saturation" if twin else "",
             ),
         ]
     return found
 
 
-def _dead_zone(signals: Signals, shape: Sequence[float], *, coils: Coils) -> list[Term]:
-    return [_lost(signals, coils, lambda F: np.clip(F, -shape[0], shape[0]))]
+def _dead_zone(
+    signals: Signals, shape: Sequence[float], *, coils: Coils, behind: bool
+) -> list[Term]:
+    return [_lost(signals, coils, lambda F: np.clip(F, -shape[0], shape[0]), behind)]
 
 
-def _saturation(signals: Signals, shape: Sequence[float], *, coils: Coils) -> list[Term]:
+def _saturation(
+    signals: Signals, shape: Sequence[float], *, coils: Coils, behind: bool
+) -> list[Term]:
     limit, hardness = shape
 
     def lost(F: Array) -> Array:
@@ -92,7 +105,7 @@ def _saturation(signals: Signals, shape: Sequence[float], *, coils: Coils) -> li
         log_ratio = hardness * np.log(np.maximum(np.abs(F) / limit, 1e-12))
         return np.asarray(-F * np.expm1(-np.logaddexp(0.0, log_ratio) / hardness))
 
-    return [_lost(signals, coils, lost)]
+    return [_lost(signals, coils, lost, behind)]
 
 
 def _whole_dead_zone(_depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:
@@ -105,13 +118,14 @@ def _whole_saturation(depth: Sequence[float], shape: Sequence[float]) -> tuple[f
     return limit * float(depth[0]) ** (-1.0 / hardness) if depth[0] > 0.0 else limit, hardness
 
 
-def _lost(signals: Signals, coils: Coils, lost: Callable[[Array], Array]) -> Term:
+def _lost(signals: Signals, coils: Coils, lost: Callable[[Array], Array], behind: bool) -> Term:
     """Return the term of a force loss lost(F), by its mean over each period.
 
-    A term is lagged like a command, so the returned commands have this mean after the lag.
+    behind: whether it is lost behind the model's lag. A term is lagged like a command, so the
+    returned commands have this mean after the lag.
     """
     held = signals.coil[:, list(coils)]
-    if signals.lag_s > 0.0:
+    if behind and signals.lag_s > 0.0:
         held = np.stack([_held(signals, F, lost) for F in held.T], axis=1)
     else:
         held = lost(held)

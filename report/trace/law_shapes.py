@@ -81,7 +81,7 @@ def _fitted_and_measured(
     point: ForceModel, law: FoundLaw, record: ForceRecord
 ) -> tuple[Array, Array]:
     placed = next(p for p in point.placed if p.effect.identity == law.placed.effect.identity)
-    forces = record.effect_forces(point.model, placed.effect, placed.shape)
+    forces = record.effect_forces(point, placed.effect, placed.shape)
     fitted = np.tensordot(np.array(placed.amplitudes), forces, 1)
     fitted = record.varying(fitted)
     return fitted, fitted + record.varying(record.missing_force(point))

@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...config.model import ModelConfig, load_model
-from ...model.effects.base import Placed, Places, Signals, Term, together, total
+from ...model.effects.base import Placed, Places, Signals, Term, total
+from ...model.effects.combined_effects import together
 from ...model.effects.effect_serialization import placed_effects
 from ...model.geometry import shape_matrix
 from ..plant_kernels import Array

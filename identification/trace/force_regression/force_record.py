@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel, Matrices
+from ....model.effects.actuator_chain import beside, passed_on, reaching
 from ....model.effects.base import Effect, Placed, Signals, Term
 from ....model.second_order import SecondOrder
 from ...greybox.experiment.intersample_input import Hold
@@ -182,11 +183,9 @@ class ForceRecord:
         inputs, inertia, others = self.groups(point)
         return np.asarray(inertia + others - inputs)
 
-    def effect_forces(
-        self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...]
-    ) -> Array:
+    def effect_forces(self, point: ForceModel, effect: Effect, shape: tuple[float, ...]) -> Array:
         """Return the force of one unit of each amplitude of an effect (amplitudes, rows, n)."""
-        changes = self.group_changes(model, effect, shape)
+        changes = self.group_changes(point, effect, shape)
         return np.asarray(changes[:, 0] - changes[:, 1] - changes[:, 2])
 
     def groups(self, point: ForceModel) -> Array:
@@ -201,7 +200,7 @@ class ForceRecord:
             others = others - self.band.smoothed(model.moving_force(self.schedule))
         groups = np.stack([self.input_force(model), self._products(model, M=qdd), others])
         for p in point.placed:
-            more = self.group_changes(point.model, p.effect, p.shape)
+            more = self._changes(point, p.effect, p.shape)
             groups = groups + np.tensordot(np.array(p.amplitudes), more, 1)
         return np.asarray(groups * self.moves)
 
@@ -222,14 +221,29 @@ class ForceRecord:
         return np.asarray((values - mean) * self.moves)
 
     def group_changes(
-        self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
+        self, point: ForceModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
     ) -> Array:
         """Return the change of `groups` by each amplitude (amplitudes, 3, rows, n).
 
-        keep: whether the filtered signals are kept for the next call.
+        It is that beside the model's effects, behind those that a command passes later. keep:
+        whether the filtered signals are kept for the next call.
         """
-        kind = 1 if effect.effect_class in _INERTIA else 2
-        parts = self._parts_of(model, effect, shape, keep)
+        return self._changes(point, effect, shape, keep, passed=True)
+
+    def _changes(
+        self,
+        point: ForceModel,
+        effect: Effect,
+        shape: tuple[float, ...],
+        keep: bool = False,
+        passed: bool = False,
+    ) -> Array:
+        """Return what each amplitude adds to `groups` (amplitudes, 3, rows, n), or changes there.
+
+        passed: whether with what the later parts of an actuator make of it.
+        """
+        model, kind = point.model, 1 if effect.effect_class in _INERTIA else 2
+        parts = self._parts_of(point, effect, shape, keep, passed)
         changes = np.zeros((len(parts), 3, *self.kept[0].shape))
         for i, (plain, held, false) in enumerate(parts):
             if held is not None:
@@ -266,21 +280,33 @@ class ForceRecord:
         return max(at.delay_s, -self.band.own_delay_s), max(at.lag_s, 0.0)
 
     def _parts_of(
-        self, model: DeclaredModel, effect: Effect, shape: tuple[float, ...], keep: bool
+        self,
+        point: ForceModel,
+        effect: Effect,
+        shape: tuple[float, ...],
+        keep: bool,
+        passed: bool,
     ) -> list[_Part]:
-        delay_s, lag_s = self._timing(model)
-        key = (effect.identity, shape, delay_s, lag_s)
+        delay_s, lag_s = self._timing(point.model)
+        chain = beside(effect, point.placed)
+        if all(p.effect.identity == effect.identity for p in chain):
+            chain = ()
+        numbers = tuple((p.effect.identity, p.shape, p.amplitudes) for p in chain)
+        key = (effect.identity, shape, delay_s, lag_s, passed and bool(chain), numbers)
         parts = self._parts.get(key) or self._recent.get(key)
         if parts is None:
             late = max(round((delay_s + self.band.own_delay_s) / self.band.Ts_s), 0)
             signals = replace(self.signals, delay_cycles=late, lag_s=lag_s)
-            parts = [self._part(t, delay_s, lag_s) for t in effect.build(signals, shape)]
+            terms = effect.build(reaching(effect, chain, signals), shape)
+            if passed:
+                terms = passed_on(effect, terms, chain, signals)
+            parts = [self._part(t, delay_s, lag_s) for t in terms]
             if effect.linear and not self.schedule:
                 once = self._once(signals, effect, shape)
                 parts = [(force, *p[1:]) for force, p in zip(once, parts, strict=True)]
-            if keep:
+            if keep and not chain:
                 # Signals of another delay or lag are of no use any more.
-                if self._parts and next(iter(self._parts))[2:] != key[2:]:
+                if self._parts and next(iter(self._parts))[2:4] != key[2:4]:
                     self._parts.clear()
                 self._parts[key] = parts
             else:

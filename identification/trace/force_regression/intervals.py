@@ -140,6 +140,6 @@ def relative_force_errors(
 
 def _sizes(point: ForceModel, placed: Placed, records: Sequence[ForceRecord]) -> Array:
     """Return the size of the force of one unit of each amplitude of an effect."""
-    forces = [r.effect_forces(point.model, placed.effect, placed.shape) for r in records]
+    forces = [r.effect_forces(point, placed.effect, placed.shape) for r in records]
     squares = np.sum([np.sum(f**2, axis=(1, 2)) for f in forces], axis=0)
     return np.asarray(np.sqrt(np.maximum(squares, np.finfo(float).tiny)))

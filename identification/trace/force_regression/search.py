@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from ....model.effects.actuator_chain import has_lag
 from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
@@ -55,7 +56,7 @@ def search(
         rated = {r.placed.effect.identity: r for r in begun.rated}
         state = _State(training.fit(begun.point), rated, ())
         if len(rated) == 1:  # of several, rivals are compared at the end
-            state = _against_rivals(state, training, options)
+            state = _against_rivals(state, named, training, options)
     state, nearest = _grown(state, named, training, options, progress)
     other = _with_another_choice(state, named, training, options, progress)
     if other is not state:
@@ -71,7 +72,7 @@ def search(
         state, nearest = _grown(state, named, training, options, progress)
     progress("comparing rivals", 0.8)
     if len(state.rated) > 1:
-        state = _against_rivals(state, training, options)
+        state = _against_rivals(state, named, training, options)
     last = {p.effect.identity: p for p in state.point.placed}
     final = [replace(r, placed=last[key]) for key, r in state.rated.items()]
     final.sort(key=lambda r: (is_free(r.placed), -r.force))
@@ -185,9 +186,9 @@ def _ranking(
 ) -> list[Rated]:
     point = state.point
     fresh = [e for e in table if e.identity not in state.dropped]
-    ranking = rate(point, _new(fresh, point.placed), training, options)
+    ranking = rate(point, _new(fresh, point), training, options)
     for p in point.placed:
-        instead = [e for e in fresh if e != p.effect and _exclude(e, p.effect)]
+        instead = [e for e in _possible(fresh, point) if e != p.effect and _exclude(e, p.effect)]
         ranking += rate(point, instead, training, options, p)
     return sorted(ranking, key=by_gain)
 
@@ -251,18 +252,27 @@ def _distinct_choices(
     return tuple(found)
 
 
-def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
+def _new(table: Sequence[Effect], point: ForceModel) -> list[Effect]:
     """Return the effects of a table that may act beside those of a model."""
-    return [e for e in table if not any(_exclude(e, p.effect) for p in placed)]
+    possible = _possible(table, point)
+    return [e for e in possible if not any(_exclude(e, p.effect) for p in point.placed)]
+
+
+def _possible(table: Sequence[Effect], point: ForceModel) -> list[Effect]:
+    """Return the effects of a table without those that act behind a lag which is not there."""
+    lagging = bool(point.model.lag.names) or point.model.lag({}) > 0.0
+    return [e for e in table if not e.before_lag or lagging or has_lag(point.placed, e.where)]
 
 
 def _exclude(one: Effect, other: Effect) -> bool:
     """Return whether two effects are one, two dry frictions of a place, or a law and a simpler one.
 
-    One of such laws may take the place of the other.
+    One of such laws may take the place of the other, as may one before a lag and one behind it.
     """
     if one.where != other.where:
         return False
+    if one.key == other.before_lag or other.key == one.before_lag:
+        return True
     nested = one.key in other.contains or other.key in one.contains or one.key == other.key
     return nested or (_rubs(one) and _rubs(other))
 
@@ -306,22 +316,26 @@ def _removed(state: _State, placed: Placed, training: Training) -> _State:
     return _State(point, rated, (*state.dropped, identity), state.not_taken)
 
 
-def _against_rivals(state: _State, training: Training, options: SearchOptions) -> _State:
+def _against_rivals(
+    state: _State, named: Sequence[Effect], training: Training, options: SearchOptions
+) -> _State:
     """Compare each found effect with its rivals beside all others; take the best or simplest."""
     for identity, rated in list(state.rated.items()):
         own = next((p for p in state.point.placed if p.effect.identity == identity), None)
         if own is None or is_free(own):
             continue
         kept = tuple(p for p in state.point.placed if p is not own)
-        rivals = [own.effect, *_new(rated.contenders, kept)]
+        others = replace(state.point, placed=kept)
+        twins = [e for e in named if _exclude(e, own.effect) and e.before_lag == own.effect.key]
+        rivals = [own.effect, *_new([*rated.contenders, *twins], others)]
         rivals = list({e.identity: e for e in rivals}.values())
-        rest = training.fit(replace(state.point, placed=kept))
+        rest = training.fit(others)
         ranking = rate(rest, rivals, training, options)
         first = next((r for r in ranking if confirmed(r, options)), None)
         if first is None:
             continue
         best, point = fitted_rivals(rest, first, ranking, training, options)[0]
-        others = {k: r for k, r in state.rated.items() if k != identity}
-        others[best.placed.effect.identity] = best
-        state = _State(point, others, state.dropped)
+        rated_now = {k: r for k, r in state.rated.items() if k != identity}
+        rated_now[best.placed.effect.identity] = best
+        state = _State(point, rated_now, state.dropped)
     return state

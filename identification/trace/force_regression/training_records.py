@@ -112,9 +112,8 @@ class Training:
         forces: of each record (amplitudes, rows, n). pull (amplitudes, n): relative change of the
         root of the power by each. keep: whether filtered signals are kept for the next call.
         """
-        model = at.point.model
         changes = [
-            self._weighed(r, r.group_changes(model, effect, shape, keep)) for r in self.records
+            self._weighed(r, r.group_changes(at.point, effect, shape, keep)) for r in self.records
         ]
         return self._forces_of(at, changes)
 
@@ -131,12 +130,12 @@ class Training:
 
     def effect_changes(self, at: Evaluated, placed: Placed) -> list[Array]:
         """Return the changes of the groups by an effect's amplitudes and shape (c, 3, rows, n)."""
-        model, a, found = at.point.model, np.array(placed.amplitudes), []
+        point, a, found = at.point, np.array(placed.amplitudes), []
         for r in self.records:
-            own = [r.group_changes(model, placed.effect, placed.shape)]
+            own = [r.group_changes(point, placed.effect, placed.shape)]
             for i, q in enumerate(placed.effect.shape):
                 low, high, width = shapes_beside(q, placed.shape, i)
-                lower, upper = (r.group_changes(model, placed.effect, s) for s in (low, high))
+                lower, upper = (r.group_changes(point, placed.effect, s) for s in (low, high))
                 own.append(np.tensordot(a, (upper - lower) / width, 1)[None])
             found.append(self._weighed(r, np.concatenate(own)))
         return found

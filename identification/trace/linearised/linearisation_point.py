@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ....model.declared_model import DeclaredModel
-from ....model.effects.base import Placed, Signals, Term, together, with_sensor_arms
+from ....model.effects.base import Placed, Signals, Term
+from ....model.effects.combined_effects import together, with_sensor_arms
 from ...greybox.experiment.experiment_from_log import Experiment
 from ...greybox.experiment.intersample_input import Hold
 from ...greybox.free_parameters import FreeParameters

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ....model.effects.base import Signals, Term, together, total
+from ....model.effects.base import Signals, Term, total
+from ....model.effects.combined_effects import together
 from ...greybox.experiment.control_loop import ControlLoop
 from ...greybox.free_run.free_run_simulation import (
     Start,

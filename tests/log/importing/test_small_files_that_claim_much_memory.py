@@ -27,7 +27,7 @@ from levid.log.writer import record_bytes
 
 LIMIT_BYTES = 300e6
 COSTS = 6.0
-"""Processor time for a file that claims much, over that for a file that is right in the same run."""
+"""Processor time for a file that claims much, over that for a right one in the same run."""
 SIGNALS = "levid: signals\nrate_hz: 100\ncolumns:\n- {column: a, name: a, unit: V, role: input}\n"
 
 

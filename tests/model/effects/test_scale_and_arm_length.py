@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from effect_test_helpers import moving, rig_places
 
-from levid.model.effects.base import Effect, Placed, Places, together
+from levid.model.effects.base import Effect, Placed, Places
 from levid.model.effects.candidate_effects import all_effects
+from levid.model.effects.combined_effects import together
 from levid.model.effects.scale_and_arm_length import effects
 
 PLACES = rig_places()

@@ -11,7 +11,8 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.trace.force_regression.force_record import ForceRecord
+from levid.identification.greybox.free_parameters import free_parameters
+from levid.identification.trace.force_regression.force_record import ForceModel, ForceRecord
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.model.effects.base import Effect, Quantity, Signals, Term
 
@@ -48,7 +49,8 @@ def missing_share(law_hz: float, linear: bool = False) -> float:
     made = record(law_hz)
     effect = Effect("d", "Damping", "damping", ("x",), "", (Quantity("d", "N s/m"),), damping,
                     linear=linear)  # fmt: skip
-    (force,) = made.effect_forces(declared_model(CONFIG), effect, ())
+    point = ForceModel(declared_model(CONFIG), free_parameters(CONFIG))
+    (force,) = made.effect_forces(point, effect, ())
     speed = made.kept[1]
     return float(np.std(np.abs(force) - np.abs(speed)) / np.std(speed))
 

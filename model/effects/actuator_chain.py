@@ -1,0 +1,98 @@
+"""Chain of an actuator: the parts that a command passes one after the other.
+
+First what limits or bends the command, then a limit of its rate, then what makes it late, then what
+acts on the force itself. Of a saturation before a lag, the lag delays what the saturation leaves:
+the sum of what each of them does to the command would be another plant. Laws that are not in the
+chain, and all of the rig's, are added: there each is small, and their order does not show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .base import Array, Effect, Placed, Signals, Term
+
+_ON_COMMAND = ("dead_zone", "saturation", "actuator_nonlinearity")
+_ON_FORCE = ("thermal_drift", "force_constant", "torque_ripple", "coil_gain")
+_LAGS = ("rate_limit", "actuator_lag")
+_ORDER = (*_ON_COMMAND, *_LAGS, "delay", *(f"{kind} behind" for kind in _ON_COMMAND), *_ON_FORCE)
+"""Classes of effects in the order in which a command passes them. A delay is behind no other part
+that would show it."""
+_TINY = float(np.finfo(float).tiny)
+_SMALL = 1e-3
+"""Change of a command over the command, with which later parts are differentiated."""
+
+
+def in_chain(
+    placed: Sequence[Placed], signals: Signals
+) -> tuple[list[tuple[Placed, Signals]], Array]:
+    """Return effects, each with the signals that reach it, in the order of the chain.
+
+    Commands reach it as the earlier ones leave them; those not in the chain come first. The second
+    result are the commands (N, C) that leave the chain.
+    """
+    if signals.places.beam:
+        return [(p, signals) for p in placed], signals.coil
+    found, there = [], signals
+    for p in sorted(placed, key=lambda p: _position(p.effect)):
+        inside = _position(p.effect)[0] >= 0
+        found.append((p, there if inside else signals))
+        held = p.term(there).held if inside else None
+        there = there if held is None else replace(there, coil=there.coil + held)
+    return found, there.coil
+
+
+def beside(effect: Effect, placed: Sequence[Placed]) -> tuple[Placed, ...]:
+    """Return the effects that are in a chain with an effect, itself among them if it is placed."""
+    if _position(effect)[0] < 0:
+        return ()
+    where = set(effect.where)
+    return tuple(p for p in placed if _position(p.effect)[0] >= 0 and where & set(p.effect.where))
+
+
+def reaching(effect: Effect, placed: Sequence[Placed], signals: Signals) -> Signals:
+    """Return the signals that reach an effect, of those that enter the chain with other effects."""
+    if signals.places.beam:
+        return signals
+    before = [p for p in beside(effect, placed) if _position(p.effect) < _position(effect)]
+    return replace(signals, coil=in_chain(before, signals)[1]) if before else signals
+
+
+def passed_on(
+    effect: Effect, terms: Sequence[Term], placed: Sequence[Placed], signals: Signals
+) -> list[Term]:
+    """Return the terms of an effect as the later parts of the chain pass them on.
+
+    Linear ones do so exactly, of others it is the derivative. signals: as they enter the chain.
+    """
+    if signals.places.beam:
+        return list(terms)
+    along, _ = in_chain(beside(effect, placed), signals)
+    later = [(p, there) for p, there in along if _position(p.effect) > _position(effect)]
+    return [t if t.held is None else replace(t, held=_behind(t.held, later)) for t in terms]
+
+
+def has_lag(placed: Sequence[Placed], where: tuple[str, ...]) -> bool:
+    """Return whether effects make the force at a location follow its command."""
+    return any(p.effect.effect_class in _LAGS and p.effect.where == where for p in placed)
+
+
+def _behind(change: Array, later: Sequence[tuple[Placed, Signals]]) -> Array:
+    """Return what a change of the commands (N, C) becomes behind later parts."""
+    for p, there in later:
+        size = float(np.sqrt(np.mean(there.coil**2) / max(float(np.mean(change**2)), _TINY)))
+        step = _SMALL * (size or 1.0)
+        moved = p.term(replace(there, coil=there.coil + step * change)).held
+        before = p.term(there).held
+        if moved is not None and before is not None:
+            change = change + (moved - before) / step
+    return change
+
+
+def _position(effect: Effect) -> tuple[int, str]:
+    """Return where in the chain an effect is; a negative number if it is not in it."""
+    kind = f"{effect.effect_class} behind" if effect.before_lag else effect.effect_class
+    return _ORDER.index(kind) if kind in _ORDER else -1, effect.identity

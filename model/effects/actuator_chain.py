@@ -17,7 +17,8 @@ from .base import Array, Effect, Placed, Signals, Term
 
 _ON_COMMAND = ("dead_zone", "saturation", "actuator_nonlinearity")
 _ON_FORCE = ("thermal_drift", "force_constant", "torque_ripple", "coil_gain")
-_LAGS = ("rate_limit", "actuator_lag")
+_LAG = "actuator_lag"
+_LAGS = ("rate_limit", _LAG)
 _ORDER = (*_ON_COMMAND, *_LAGS, "delay", *(f"{kind} behind" for kind in _ON_COMMAND), *_ON_FORCE)
 """Classes of effects in the order in which a command passes them. A delay is behind no other part
 that would show it."""
@@ -75,16 +76,47 @@ def passed_on(
     return [t if t.held is None else replace(t, held=_behind(t.held, later)) for t in terms]
 
 
-def has_lag(placed: Sequence[Placed], where: tuple[str, ...]) -> bool:
-    """Return whether effects make the force at a location follow its command."""
-    return any(p.effect.effect_class in _LAGS and p.effect.where == where for p in placed)
+def contains_lag(effect: Effect) -> bool:
+    """Return whether an effect is a lag and another law in one."""
+    return _LAG in effect.contains
+
+
+def same_law(one: Effect, other: Effect) -> bool:
+    """Return whether two effects are one law at one place, before or behind a lag."""
+    keys = {e.before_lag or e.key for e in (one, other)}
+    return one.where == other.where and len(keys) == 1
+
+
+def orders(
+    placed: Sequence[Placed], table: Sequence[Effect], lagging: bool
+) -> list[tuple[Placed, ...]]:
+    """Return effects in the orders that they may have: one law before or behind its lag at a time.
+
+    The first are the effects as they are; with no lag, all are before it. table: of all effects.
+    lagging: whether the model has a lag of all commands.
+    """
+    late = {p.effect.where for p in placed if _kind(p.effect) in _LAGS}
+    now, others = list(placed), []
+    for i, p in enumerate(placed):
+        other = next((e for e in table if e != p.effect and same_law(e, p.effect)), None)
+        if other is None:
+            continue
+        moved = replace(p, effect=other)
+        if lagging or p.effect.where in late:
+            others.append((i, moved))
+        elif p.effect.before_lag:
+            now[i] = moved
+    return [tuple(now), *((*now[:i], moved, *now[i + 1 :]) for i, moved in others)]
 
 
 def _behind(change: Array, later: Sequence[tuple[Placed, Signals]]) -> Array:
     """Return what a change of the commands (N, C) becomes behind later parts."""
     for p, there in later:
-        size = float(np.sqrt(np.mean(there.coil**2) / max(float(np.mean(change**2)), _TINY)))
-        step = _SMALL * (size or 1.0)
+        step = (
+            _SMALL * float(np.linalg.norm(there.coil)) / max(float(np.linalg.norm(change)), _TINY)
+        )
+        if not 0.0 < step < np.inf:  # one of them is zero
+            return change
         moved = p.term(replace(there, coil=there.coil + step * change)).held
         before = p.term(there).held
         if moved is not None and before is not None:
@@ -94,5 +126,11 @@ def _behind(change: Array, later: Sequence[tuple[Placed, Signals]]) -> Array:
 
 def _position(effect: Effect) -> tuple[int, str]:
     """Return where in the chain an effect is; a negative number if it is not in it."""
-    kind = f"{effect.effect_class} behind" if effect.before_lag else effect.effect_class
+    kind = _kind(effect)
     return _ORDER.index(kind) if kind in _ORDER else -1, effect.identity
+
+
+def _kind(effect: Effect) -> str:
+    if contains_lag(effect):
+        return _LAG
+    return f"{effect.effect_class} behind" if effect.before_lag else effect.effect_class

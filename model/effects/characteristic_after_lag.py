@@ -45,8 +45,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     for c in range(places.coils):
         for name in _SQUARES:
             at = extent.mean_command(c) if name == "quadratic" else 0.0
-            if extent.lagging is not False:
-                found.append(_after(places, c, name, at))
+            found.append(_after(places, c, name, at))
             if not extent.lagging:
                 found.append(_with(places, extent, c, name, at))
     return found

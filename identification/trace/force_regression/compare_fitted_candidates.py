@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ....model.effects.base import Placed
+from ....model.effects.actuator_chain import orders
+from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
 from .force_record import ForceModel
 from .held_out_gain import Blocks, Columns, block_sums, bounded, error_of_mean
@@ -24,10 +25,12 @@ def fitted_rivals(
     ranking: Sequence[Rated],
     training: Training,
     options: SearchOptions,
+    table: Sequence[Effect],
 ) -> list[tuple[Rated, ForceModel]]:
     """Return the confirmed candidates with the fitted model of each, the one to take first.
 
-    `beside` is the model without them. Gains are foretold by a line, and a large effect moves the
+    `beside` is the model without them. `table` has all laws: some may act before or behind a lag,
+    and the fits take the better order. Gains are foretold by a line, and a large effect moves the
     model's other numbers: so candidates are compared where the fit with each of them ends. What is
     not surely worse than the best is not told apart from it, nor is what equals it in a linear
     plant, where other effects are found at its inputs only. Of these the one with the fewest
@@ -38,7 +41,8 @@ def fitted_rivals(
     fitted = list[_Fitted]()
     for rated in rivals:  # best first: most others soon prove to stay behind
         least = min((f.cost for f in fitted), default=0.0)
-        fitted.append(_Fitted.of(beside, rated, training, least, options))
+        point = _in_best_order(beside, rated, table, training, least)
+        fitted.append(_Fitted.at(point, rated, training, training.noise(beside), options))
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
     alike.sort(key=lambda f: f.numbers)
@@ -46,7 +50,7 @@ def fitted_rivals(
     if all(inputs.issuperset(p.effect.where) for p in beside.placed):
         # Behind the laws of its inputs the plant is linear. The noise of the readings makes one of
         # the two fit better, whichever is true.
-        same = {key for f in alike for key in f.rated.placed.effect.same_if_linear}
+        same = {key for f in alike if _acts_last(f) for key in f.rated.placed.effect.same_if_linear}
         known = [id(f) for f in alike]
         alike += [f for f in fitted if f.rated.placed.effect.key in same and id(f) not in known]
     support = _support(fitted, ranking, options)
@@ -61,6 +65,12 @@ def fitted_rivals(
     rest = [f for f in fitted if f is not alike[0]]
     told = [replace(f.rated, support=support(f.rated), contenders=contenders) for f in rest]
     return [(best, alike[0].point), *zip(told, (f.point for f in rest), strict=True)]
+
+
+def _acts_last(one: _Fitted) -> bool:
+    """Return whether no law of its input acts behind a candidate."""
+    where = one.rated.placed.effect.where
+    return not any(p.effect.before_lag and p.effect.where == where for p in one.point.placed)
 
 
 def _richer(one: _Fitted, other: _Fitted) -> bool:
@@ -98,19 +108,6 @@ class _Fitted:
         return self.rated.numbers - self.rated.idle
 
     @classmethod
-    def of(
-        cls,
-        beside: ForceModel,
-        rated: Rated,
-        training: Training,
-        least: float,
-        options: SearchOptions,
-    ) -> _Fitted:
-        """Fit the model with a candidate; not to the end if it stays far above the least cost."""
-        point = training.fit(replace(beside, placed=(*beside.placed, rated.placed)), least)
-        return cls.at(point, rated, training, training.noise(beside), options)
-
-    @classmethod
     def at(
         cls,
         point: ForceModel,
@@ -140,6 +137,22 @@ class _Fitted:
         cost = training.cost(point) * float(errors.sum() / max(by_dof.sum(), np.finfo(float).tiny))
         relative = tuple(x * np.sqrt(more) for x in left)
         return cls(last, point, cost, errors, relative, by_dof.sum(axis=1), more)
+
+
+def _in_best_order(
+    beside: ForceModel, rated: Rated, table: Sequence[Effect], training: Training, least: float
+) -> ForceModel:
+    """Fit the model with a candidate; not to the end if it stays far above the least cost.
+
+    Of several orders of an actuator's laws it has the one that fits best.
+    """
+    model, placed = beside.model, (*beside.placed, rated.placed)
+    lagging = bool(model.lag.names) or model.lag({}) > 0.0
+    fits = [
+        training.fit(replace(beside, placed=order), least)
+        for order in orders(placed, table, lagging)
+    ]
+    return min(fits, key=training.cost)
 
 
 def richer_matters(

@@ -10,10 +10,10 @@ beside the model with the simpler one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ....model.effects.actuator_chain import has_lag
+from ....model.effects.actuator_chain import contains_lag, same_law
 from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
@@ -56,7 +56,7 @@ def search(
         rated = {r.placed.effect.identity: r for r in begun.rated}
         state = _State(training.fit(begun.point), rated, ())
         if len(rated) == 1:  # of several, rivals are compared at the end
-            state = _against_rivals(state, named, training, options)
+            state = _against_rivals(state, list(rated), named, training, options)
     state, nearest = _grown(state, named, training, options, progress)
     other = _with_another_choice(state, named, training, options, progress)
     if other is not state:
@@ -65,14 +65,14 @@ def search(
         ranking = _ranking(state, free_forms, training, options)
         nearest = sorted([*nearest, *ranking], key=by_gain)
         fresh = [r for r in ranking if not described_laws(r.placed, state.point, training)]
-        after = _with_best(state, fresh, training, options)
+        after = _with_best(state, fresh, named, training, options)
         if after is None:
             break
         state = _without_idle(after, training, options)
         state, nearest = _grown(state, named, training, options, progress)
     progress("comparing rivals", 0.8)
     if len(state.rated) > 1:
-        state = _against_rivals(state, named, training, options)
+        state = _against_rivals(state, list(state.rated), named, training, options)
     last = {p.effect.identity: p for p in state.point.placed}
     final = [replace(r, placed=last[key]) for key, r in state.rated.items()]
     final.sort(key=lambda r: (is_free(r.placed), -r.force))
@@ -110,10 +110,12 @@ def _grown(
         if pair is not None:
             state = pair
             continue
-        after = _with_best(state, nearest, training, options)
+        before, after = state, _with_best(state, nearest, named, training, options)
         if after is None:
             break
         state = _without_idle(after, training, options)
+        undecided = [k for k, r in state.rated.items() if r.alternatives and k in before.rated]
+        state = _against_rivals(state, undecided, named, training, options)
     return state, nearest
 
 
@@ -144,7 +146,8 @@ def _with_two_at_once(
         state.dropped,
         (*state.not_taken, ()),
     )
-    after = _with_best(alone, _ranking(alone, named, training, options), training, options)
+    ranking = _ranking(alone, named, training, options)
+    after = _with_best(alone, ranking, named, training, options)
     if after is None:
         return None
     both = _without_idle(after, training, options)
@@ -186,15 +189,19 @@ def _ranking(
 ) -> list[Rated]:
     point = state.point
     fresh = [e for e in table if e.identity not in state.dropped]
-    ranking = rate(point, _new(fresh, point), training, options)
+    ranking = rate(point, _new(fresh, point.placed), training, options)
     for p in point.placed:
-        instead = [e for e in _possible(fresh, point) if e != p.effect and _exclude(e, p.effect)]
+        instead = [e for e in _asked(fresh) if e != p.effect and _exclude(e, p.effect)]
         ranking += rate(point, instead, training, options, p)
     return sorted(ranking, key=by_gain)
 
 
 def _with_best(
-    state: _State, ranking: Sequence[Rated], training: Training, options: SearchOptions
+    state: _State,
+    ranking: Sequence[Rated],
+    named: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
 ) -> _State | None:
     """Return the state with the best confirmed candidate whose fit does what was foretold."""
     plain = training.plain()
@@ -204,7 +211,7 @@ def _with_best(
         return None
     kept = tuple(p for p in state.point.placed if p is not first.instead_of)
     beside = replace(state.point, placed=kept)
-    rivals = fitted_rivals(beside, first, ranking, training, options)
+    rivals = fitted_rivals(beside, first, ranking, training, options, named)
     for chosen, stayed in rivals:
         point = training.fit(stayed)  # of a rival that stayed behind, it ended early
         lowered = before - missing_share(plain.at(point))
@@ -212,7 +219,8 @@ def _with_best(
             rated = _without_replaced(state, first)
             others = _distinct_choices(state, rivals, rated, training, point, options)
             rated[chosen.placed.effect.identity] = chosen
-            return _State(point, rated, state.dropped, (*state.not_taken, others))
+            by_law = _by_law(rated, point)
+            return _State(point, by_law, state.dropped, (*state.not_taken, others))
     return None
 
 
@@ -248,32 +256,32 @@ def _distinct_choices(
     for _, group in groups[1:]:
         rival, point = min(group, key=lambda r: r[0].numbers)
         own = {**rated, rival.placed.effect.identity: rival}
-        found.append(_State(point, own, state.dropped, state.not_taken))
+        found.append(_State(point, _by_law(own, point), state.dropped, state.not_taken))
     return tuple(found)
 
 
-def _new(table: Sequence[Effect], point: ForceModel) -> list[Effect]:
+def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
     """Return the effects of a table that may act beside those of a model."""
-    possible = _possible(table, point)
-    return [e for e in possible if not any(_exclude(e, p.effect) for p in point.placed)]
+    asked = _asked(table)
+    return [e for e in asked if not any(_exclude(e, p.effect) for p in placed)]
 
 
-def _possible(table: Sequence[Effect], point: ForceModel) -> list[Effect]:
-    """Return the effects of a table without those that act behind a lag which is not there."""
-    lagging = bool(point.model.lag.names) or point.model.lag({}) > 0.0
-    return [e for e in table if not e.before_lag or lagging or has_lag(point.placed, e.where)]
+def _asked(table: Sequence[Effect]) -> list[Effect]:
+    """Return the effects of a table but for those that are found by others.
+
+    Before or behind a lag is asked in the fits, and a lag with another law is two laws.
+    """
+    return [e for e in table if not e.before_lag and not contains_lag(e)]
 
 
 def _exclude(one: Effect, other: Effect) -> bool:
     """Return whether two effects are one, two dry frictions of a place, or a law and a simpler one.
 
-    One of such laws may take the place of the other, as may one before a lag and one behind it.
+    One of such laws may take the place of the other.
     """
     if one.where != other.where:
         return False
-    if one.key == other.before_lag or other.key == one.before_lag:
-        return True
-    nested = one.key in other.contains or other.key in one.contains or one.key == other.key
+    nested = one.key in other.contains or other.key in one.contains or same_law(one, other)
     return nested or (_rubs(one) and _rubs(other))
 
 
@@ -317,25 +325,45 @@ def _removed(state: _State, placed: Placed, training: Training) -> _State:
 
 
 def _against_rivals(
-    state: _State, named: Sequence[Effect], training: Training, options: SearchOptions
+    state: _State,
+    asked: Sequence[str],
+    named: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
 ) -> _State:
-    """Compare each found effect with its rivals beside all others; take the best or simplest."""
-    for identity, rated in list(state.rated.items()):
+    """Compare found effects with their rivals beside all others; take the best or simplest.
+
+    asked: their identities. What others left hid by what an effect is told from its alternatives.
+    """
+    for identity in asked:
         own = next((p for p in state.point.placed if p.effect.identity == identity), None)
         if own is None or is_free(own):
             continue
+        rated = state.rated[identity]
         kept = tuple(p for p in state.point.placed if p is not own)
-        others = replace(state.point, placed=kept)
-        twins = [e for e in named if _exclude(e, own.effect) and e.before_lag == own.effect.key]
-        rivals = [own.effect, *_new([*rated.contenders, *twins], others)]
+        contenders = [e for e in rated.contenders if not same_law(e, own.effect)]
+        rivals = [own.effect, *_new(contenders, kept)]
         rivals = list({e.identity: e for e in rivals}.values())
-        rest = training.fit(others)
+        rest = training.fit(replace(state.point, placed=kept))
         ranking = rate(rest, rivals, training, options)
         first = next((r for r in ranking if confirmed(r, options)), None)
         if first is None:
             continue
-        best, point = fitted_rivals(rest, first, ranking, training, options)[0]
-        rated_now = {k: r for k, r in state.rated.items() if k != identity}
-        rated_now[best.placed.effect.identity] = best
-        state = _State(point, rated_now, state.dropped)
+        if not any(confirmed(r, options) for r in ranking if r.placed.effect == own.effect):
+            # From far, a line does not foretell it; but here it was confirmed.
+            ranking = [replace(rated, placed=own, instead_of=None), *ranking]
+        best, point = fitted_rivals(rest, first, ranking, training, options, named)[0]
+        others = {k: r for k, r in state.rated.items() if k != identity}
+        others[best.placed.effect.identity] = best
+        state = _State(point, _by_law(others, point), state.dropped)
     return state
+
+
+def _by_law(rated: Mapping[str, Rated], point: ForceModel) -> dict[str, Rated]:
+    """Return the ratings of a model's effects, some of which fits moved before or behind a lag."""
+    found = {}
+    for p in point.placed:
+        own = next((r for r in rated.values() if same_law(r.placed.effect, p.effect)), None)
+        if own is not None:
+            found[p.effect.identity] = own
+    return found

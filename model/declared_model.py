@@ -123,6 +123,11 @@ class DeclaredModel:
             )
         return model
 
+    @property
+    def lagging(self) -> bool:
+        """Whether the force of the inputs follows them with a lag, known or to be found."""
+        return bool(self.lag.names) or self.lag({}) > 0.0
+
     def at(self, scheduling: Mapping[str, float] | None = None) -> SecondOrder:
         """Return the matrices at one value of the scheduling variables (default: as declared).
 

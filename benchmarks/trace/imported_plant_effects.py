@@ -113,18 +113,23 @@ CASES = {
 }  # fmt: skip
 """Effects of each plant."""
 PAIRS = {
-    "drive": ("coulomb+cogging", "coulomb+saturation", "stribeck+drag", "cubic_actuator+coulomb"),
+    "drive": ("coulomb+cogging", "coulomb+saturation", "stribeck+drag", "cubic_actuator+coulomb",
+              "saturation+lag", "lag+dead_zone"),
     "geared": ("coulomb+gap", "coulomb+cogging"),
     "pendulum": (
         "gravity+coulomb",
         "gravity+drag",
         "cubic_stiffness+coulomb",
         "gravity+loose_mass",
+        "dead_zone+lag",
+        "second_order+saturation",
     ),
-    "stage": ("coulomb+squared_actuator", "cubic_stiffness+drag", "dead_zone+drag", "stop+coulomb"),
+    "stage": ("coulomb+squared_actuator", "cubic_stiffness+drag", "dead_zone+drag", "stop+coulomb",
+              "saturation+second_order", "lag+squared_actuator"),
     "levitation": ("magnet+drag", "magnet+lag"),
-}
-"""Pairs of effects of each plant, each drawn by itself."""
+}  # fmt: skip
+"""Pairs of effects of each plant, each drawn by itself. A command passes those of one input in
+their order."""
 
 
 class Drawn(NamedTuple):

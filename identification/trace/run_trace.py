@@ -143,7 +143,9 @@ def _trace(
         start = _with_random_forces(declared, _shaken(declared, logged, workers))
     if start is not declared:
         start, _ = refine(start, logged, within=NEARLY)
-    found = search(start, table.named, table.free, logged, progress, options)
+    # Without a lag, a law is the same before and behind it.
+    named = [e for e in table.named if not e.before_lag or declared.model.lagging]
+    found = search(start, named, table.free, logged, progress, options)
     if start is not declared:
         point = replace(found.point, disturbance=declared.disturbance)
         found = replace(found, point=point)

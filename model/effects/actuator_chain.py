@@ -17,8 +17,7 @@ from .base import Array, Effect, Placed, Signals, Term
 
 _ON_COMMAND = ("dead_zone", "saturation", "actuator_nonlinearity")
 _ON_FORCE = ("thermal_drift", "force_constant", "torque_ripple", "coil_gain")
-_LAG = "actuator_lag"
-_LAGS = ("rate_limit", _LAG)
+_LAGS = ("rate_limit", "actuator_lag")
 _ORDER = (*_ON_COMMAND, *_LAGS, "delay", *(f"{kind} behind" for kind in _ON_COMMAND), *_ON_FORCE)
 """Classes of effects in the order in which a command passes them. A delay is behind no other part
 that would show it."""
@@ -76,11 +75,6 @@ def passed_on(
     return [t if t.held is None else replace(t, held=_behind(t.held, later)) for t in terms]
 
 
-def contains_lag(effect: Effect) -> bool:
-    """Return whether an effect is a lag and another law in one."""
-    return _LAG in effect.contains
-
-
 def same_law(one: Effect, other: Effect) -> bool:
     """Return whether two effects are one law at one place, before or behind a lag."""
     keys = {e.before_lag or e.key for e in (one, other)}
@@ -131,6 +125,4 @@ def _position(effect: Effect) -> tuple[int, str]:
 
 
 def _kind(effect: Effect) -> str:
-    if contains_lag(effect):
-        return _LAG
     return f"{effect.effect_class} behind" if effect.before_lag else effect.effect_class

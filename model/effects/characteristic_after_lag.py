@@ -3,7 +3,7 @@
 The speed of a propeller's motor follows the command with a lag, and the thrust is proportional to
 the square of the speed (Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2011,
 ch. 9): first the lag, then the square. `actuator_nonlinearity.py` has the other order. The lag is
-the model's, if it has one; else it is a parameter of the effect. Signature: after a step of the
+the model's, or that of an effect at the same actuator. Signature: after a step of the
 command the force changes with the lag when the speed begins at zero, sooner when it falls from a
 large one.
 """
@@ -18,50 +18,36 @@ import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .force_units import per_unit
-from .lag_and_hysteresis_recursions import (
-    lagged_mean,
-    lagged_moment,
-    lagged_within,
-    with_moment,
-)
+from .lag_and_hysteresis_recursions import lagged_within, with_moment
 from .operating_range import Extent
 
 Square = Callable[[Array], tuple[Array, Array]]
 
 _GAUSS = 3
 """Points of the integral over a period; the lagged command is an exponential between them."""
-_STARTS_S = (0.01, 0.03, 0.1)
 _LINEAR = "the part linear around the mean command: gain and lag; the mean: constant force"
 _TOLD_APART = "steps of two sizes from several constant commands"
 _SQUARES = {"squared": "a squared characteristic", "quadratic": "a quadratic nonlinearity"}
-_KEY = re.compile(r"actuator\.quadratic_(after|with)_lag(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?")
+_KEY = re.compile(r"actuator\.quadratic_after_lag(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?")
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return both squares of every actuator, with the lag that is known; empty for the rig."""
+    """Return both squares of every actuator; empty for the rig."""
     if places.beam:
         return []
-    found = []
-    for c in range(places.coils):
-        for name in _SQUARES:
-            at = extent.mean_command(c) if name == "quadratic" else 0.0
-            found.append(_after(places, c, name, at))
-            if not extent.lagging:
-                found.append(_with(places, extent, c, name, at))
-    return found
+    return [
+        _after(places, c, name, extent.mean_command(c) if name == "quadratic" else 0.0)
+        for c in range(places.coils)
+        for name in _SQUARES
+    ]
 
 
-def quadratic_after_lag(
-    places: Places, extent: Extent, key: str, where: Sequence[str]
-) -> Effect | None:
+def quadratic_after_lag(places: Places, key: str, where: Sequence[str]) -> Effect | None:
     """Return the quadratic one with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
     if found is None or places.beam or len(where) != 1 or where[0] not in places.actuators:
         return None
-    coil, at = places.actuators.index(where[0]), float(found[2] or 0.0)
-    if found[1] == "after":
-        return _after(places, coil, "quadratic", at)
-    return _with(places, extent, coil, "quadratic", at)
+    return _after(places, places.actuators.index(where[0]), "quadratic", float(found[1] or 0.0))
 
 
 def _after(places: Places, coil: int, name: str, at: float) -> Effect:
@@ -70,36 +56,13 @@ def _after(places: Places, coil: int, name: str, at: float) -> Effect:
         f"Actuator with {_SQUARES[name]} after its lag",
         "actuator_nonlinearity",
         (places.actuator(coil),),
-        f"force = F_l + a {_square_in_words(name, at)}, F_l the command after the model's lag"
+        f"force = F_l + a {_square_in_words(name, at)}, F_l the command after the lag"
         + _mean_in_words(at),
         (Quantity("a", per_unit(places.command_unit(coil), 1)),),
         partial(_after_lag, coil=coil, square=partial(_square, name=name, at=at)),
         absorbed_by=_LINEAR,
         told_apart_by=_TOLD_APART,
         before_lag=f"actuator.{name}" + (f"[{at:g}]" if at else ""),
-    )
-
-
-def _with(places: Places, extent: Extent, coil: int, name: str, at: float) -> Effect:
-    simpler = f"actuator.{name}" + (f"[{at:g}]" if at else "")
-    return Effect(
-        f"actuator.{name}_with_lag" + (f"[{at:g}]" if at else ""),
-        f"Actuator with a lag and {_SQUARES[name]} after it",
-        "actuator_nonlinearity",
-        (places.actuator(coil),),
-        f"force = F + (F_l - F) lag / tail + a {_square_in_words(name, at)}, "
-        "F_l the command lagged by tail" + _mean_in_words(at),
-        (
-            Quantity("lag", "s", -extent.late_s),
-            Quantity("a", per_unit(places.command_unit(coil), 1)),
-        ),
-        partial(_with_lag, coil=coil, square=partial(_square, name=name, at=at)),
-        (Quantity("tail", "s", 1e-4, 1.0, log=True),),
-        tuple((start,) for start in _STARTS_S),
-        absorbed_by=_LINEAR,
-        told_apart_by=_TOLD_APART,
-        contains={simpler: _without_lag, "actuator_lag": tuple},
-        equal_numbers=("lag", "tail"),
     )
 
 
@@ -124,17 +87,6 @@ def _after_lag(
         return S + slope * (F - F_l)
 
     return [on_coil(signals, coil, _over_periods(F, tau_s, signals.Ts_s, before_the_lag))]
-
-
-def _with_lag(signals: Signals, shape: Sequence[float], *, coil: int, square: Square) -> list[Term]:
-    F, tail_s, Ts_s = signals.coil[:, coil], shape[0], signals.Ts_s
-    late = with_moment(lagged_mean(F, tail_s, Ts_s), lagged_moment(F, tail_s, Ts_s))
-    squares = _over_periods(F, tail_s, Ts_s, lambda F_l: square(F_l)[0])
-    return [on_coil(signals, coil, (late - F) / tail_s), on_coil(signals, coil, squares)]
-
-
-def _without_lag(_shape: Sequence[float]) -> tuple[float, ...]:
-    return ()
 
 
 def _over_periods(F: Array, tau_s: float, Ts_s: float, law: Callable[[Array], Array]) -> Array:

@@ -77,7 +77,7 @@ def placed_effects(
             freeform_effect(places, entry.effect, at),
             magnetic_force_effect(places, covered, entry.effect, at),
             quadratic_actuator(places, entry.effect, at),
-            quadratic_after_lag(places, covered, entry.effect, at),
+            quadratic_after_lag(places, entry.effect, at),
         ):
             if keyed is not None:
                 table[keyed.identity] = keyed

@@ -41,10 +41,10 @@ class Extent:
     digits. resonances: bending pattern, frequency in Hz and damping ratio seen in the readings.
     dof_resonances: number of the DOF, frequency in Hz and damping ratio of masses on springs seen
     in forces and motion. beam_rates: largest speed and acceleration of the beam and largest speed
-    of the rotor. joints: RMS deviation and speed, and middle, of each relative motion. lagging:
-    whether the model has a lag, None if that is not known. periods: for each DOF, those over its
-    position that the missing force has; rubbing: those that it times the direction has. ripples:
-    for each actuator, those over its position that the missing share of its force has.
+    of the rotor. joints: RMS deviation and speed, and middle, of each relative motion. periods: for
+    each DOF, those over its position that the missing force has; rubbing: those that it times the
+    direction has. ripples: for each actuator, those over its position that the missing share of its
+    force has.
     """
 
     reach: tuple[float, ...]
@@ -65,7 +65,6 @@ class Extent:
     dof_resonances: tuple[tuple[int, float, float], ...] = ()
     largest: tuple[float, ...] = ()
     joints: tuple[tuple[float, float, float], ...] = ()
-    lagging: bool | None = None
     periods: tuple[tuple[float, ...], ...] = ()
     rubbing: tuple[tuple[float, ...], ...] = ()
     ripples: tuple[tuple[float, ...], ...] = ()

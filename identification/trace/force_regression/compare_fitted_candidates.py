@@ -146,11 +146,10 @@ def _in_best_order(
 
     Of several orders of an actuator's laws it has the one that fits best.
     """
-    model, placed = beside.model, (*beside.placed, rated.placed)
-    lagging = bool(model.lag.names) or model.lag({}) > 0.0
+    placed = (*beside.placed, rated.placed)
     fits = [
         training.fit(replace(beside, placed=order), least)
-        for order in orders(placed, table, lagging)
+        for order in orders(placed, table, beside.model.lagging)
     ]
     return min(fits, key=training.cost)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ....model.effects.actuator_chain import contains_lag, same_law
+from ....model.effects.actuator_chain import same_law
 from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
@@ -267,11 +267,8 @@ def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
 
 
 def _asked(table: Sequence[Effect]) -> list[Effect]:
-    """Return the effects of a table but for those that are found by others.
-
-    Before or behind a lag is asked in the fits, and a lag with another law is two laws.
-    """
-    return [e for e in table if not e.before_lag and not contains_lag(e)]
+    """Return the effects of a table, each law once: whether before or behind a lag, fits decide."""
+    return [e for e in table if not e.before_lag]
 
 
 def _exclude(one: Effect, other: Effect) -> bool:

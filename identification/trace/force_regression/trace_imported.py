@@ -149,7 +149,6 @@ def _traced(
     # force. Farther below it is a change of mass, stiffness and damping.
     covered = replace(covered, fastest_hz=min(covered.fastest_hz, 2.0 * limit_hz))
     model = declared_model(config)
-    covered = replace(covered, lagging=bool(model.lag.names) or model.lag({}) > 0.0)
 
     progress("fitting the declared model", 0.05)
     placed = placed_effects(config.effects, places, covered)

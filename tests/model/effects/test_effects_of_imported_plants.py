@@ -49,8 +49,6 @@ KEYS = (
     "actuator.quantised",
     "actuator.squared_after_lag",
     "actuator.quadratic_after_lag",
-    "actuator.squared_with_lag",
-    "actuator.quadratic_with_lag",
 )  # fmt: skip
 EACH = pytest.mark.parametrize("key", KEYS)
 Law = Callable[..., np.ndarray]
@@ -191,24 +189,6 @@ def times_speed(q, v, F, a):
     return a * F * (v[later] + v[last]) / 2
 
 
-def with_lag(signed: bool) -> Law:
-    def law(q, v, F, lag, a, tail):
-        steps, middle = 400, mean_command("actuator.quadratic_with_lag")
-        t = (np.arange(steps) + 0.5) / steps
-        speed, rows = F[0], []
-        for held in F:
-            within = held + (speed - held) * np.exp(-t * TS / tail)
-            square = within * np.abs(within) if signed else (within - middle) ** 2
-            each = lag / tail * (within - held) + a * square
-            rows.append((each.mean(), (each * (t - 0.5)).mean()))
-            speed = held + (speed - held) * np.exp(-TS / tail)
-        mean, moment = np.array(rows).T
-        wide = np.pad(moment, 1, mode="edge")
-        return mean + 0.5 * (wide[:-2] - wide[2:])
-
-    return law
-
-
 LAWS: dict[str, Law] = {
     "damping.asymmetric": lambda q, v, F, asymmetry: -asymmetry * np.sign(v) * v,
     "friction.coulomb_asymmetric": sliding,
@@ -233,8 +213,6 @@ LAWS: dict[str, Law] = {
     "actuator.quadratic_after_lag": lambda q, v, F, a: (
         a * (F - mean_command("actuator.quadratic_after_lag")) ** 2
     ),
-    "actuator.squared_with_lag": with_lag(signed=True),
-    "actuator.quadratic_with_lag": with_lag(signed=False),
 }
 
 
@@ -302,12 +280,6 @@ def test_a_square_after_the_lag_is_a_command_that_becomes_the_square_by_the_lag(
     square = 0.7 * (speed * np.abs(speed) if law == "squared" else (speed - middle) ** 2)
     # The begin is forgotten after seven times the lag; held values of 1 ms know the rest to 1e-5.
     np.testing.assert_allclose(acts[300:], square[300:], atol=1e-4 * np.abs(square).max())
-    unknown = Extent((1.0,), (1.0,), 1.0, 5.0, 0.0)
-    for lagging, only in ((True, "after_lag"), (False, "with_lag")):
-        keys = {e.key for e in all_effects(places(), replace(unknown, lagging=lagging))}
-        assert {k for k in keys if k.startswith("actuator.") and "lag" in k} == {
-            f"actuator.{one}_{only}" for one in ("squared", "quadratic")
-        }
 
 
 def test_friction_of_two_levels_has_these_levels():

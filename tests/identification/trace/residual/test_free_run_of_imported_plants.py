@@ -19,6 +19,7 @@ from levid.identification.trace.linearised.linearisation_point import WorkingPoi
 from levid.identification.trace.records.record_from_log import TraceRecord, imported_places
 from levid.identification.trace.records.sensor_and_amplifier_noise import Disturbance
 from levid.identification.trace.residual.free_run_with_effects import free_run
+from levid.model.effects.actuator_chain import same_law
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
@@ -41,6 +42,7 @@ K: [[k]]
 CONFIG = parse_text(MODEL, ModelConfig, "arm")
 TS, ROWS, STEPS = 2e-3, 5000, 20
 SD = 1e-7
+TAIL_S = 0.03
 PLACES = replace(imported_places(CONFIG), span_s=(0.0, ROWS * TS))
 Added = Callable[[float, float, float], float]
 """Torque over angle, speed and the held command."""
@@ -57,18 +59,18 @@ class Play:
         return -self._stiffness * (q - self._at)
 
 
-class Propeller:
-    """A force with the square of a speed that follows the command."""
+class Chain:
+    """A lag with a law before and one behind it."""
 
-    def __init__(self, lag: float, tail: float, law: Callable[[float], float]) -> None:
-        self._lag, self._step = lag / tail, 0.5 * TS / STEPS / tail
-        self._speed, self._law = float(command()[0]), law  # steady at the begin
+    def __init__(self, before: Callable[[float], float], behind: Callable[[float], float]) -> None:
+        self._before, self._behind = before, behind
+        self._speed = before(float(command()[0]))  # steady at the begin
 
     def __call__(self, _q: float, _v: float, u: float) -> float:
         # Called twice a step, at its begin and its middle.
-        now = self._speed
-        self._speed = u + (now - u) * float(np.exp(-self._step))
-        return self._lag * (now - u) + self._law(now)
+        now, end = self._speed, self._before(u)
+        self._speed = end + (now - end) * float(np.exp(-0.5 * TS / STEPS / TAIL_S))
+        return self._behind(now) - u
 
 
 def magnet(c: float, y0: float, i0: float, sign: float, a: int, b: int) -> Added:
@@ -138,12 +140,6 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
     # The model has no lag.
     "actuator.squared_after_lag": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * abs(u)),
     "actuator.quadratic_after_lag": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * u),
-    "actuator.squared_with_lag": (
-        (0.02, 0.1), (0.03,), lambda: Propeller(0.02, 0.03, lambda s: 0.1 * s * abs(s)),
-    ),
-    "actuator.quadratic_with_lag": (
-        (0.02, 0.1), (0.03,), lambda: Propeller(0.02, 0.03, lambda s: 0.1 * s * s),
-    ),
 }  # fmt: skip
 
 
@@ -200,6 +196,52 @@ def test_free_run_with_an_effect_agrees_with_integration(key: str) -> None:
     assert without > 0.01
     # The position of a dragged part at the begin of a record is not known: about k half of force.
     assert error < (5e-3 if key == "backlash.play" else 1e-4)
+
+
+def clipped(u: float) -> float:
+    return min(max(u, -2.0), 2.0)
+
+
+def with_dead_zone(u: float) -> float:
+    return u - min(max(u, -0.5), 0.5)
+
+
+LAG = ("actuator_lag", (TAIL_S,), (TAIL_S,))
+CHAINS = {
+    "propeller": (
+        lambda u: u, lambda s: s + 0.1 * s * abs(s),
+        (LAG, ("actuator.squared_after_lag", (0.1,), ())),
+    ),
+    "valve": (lambda u: u, with_dead_zone, (LAG, ("dead_zone.after_lag", (1.0,), (0.5,)))),
+    "bridge": (with_dead_zone, lambda s: s, (LAG, ("dead_zone", (1.0,), (0.5,)))),
+    "amplifier": (clipped, lambda s: s, (LAG, ("saturation", (1.0,), (2.0, 1000.0)))),
+    "magnet": (lambda u: u, clipped, (LAG, ("saturation.after_lag", (1.0,), (2.0, 1000.0)))),
+    "three parts": (
+        with_dead_zone, clipped,
+        (("saturation.after_lag", (1.0,), (2.0, 1000.0)), LAG, ("dead_zone", (1.0,), (0.5,))),
+    ),
+}  # fmt: skip
+"""Laws before and behind a lag, and the effects, in any order."""
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_a_command_passes_the_parts_of_an_actuator_one_by_one(name: str) -> None:
+    before, behind, parts = CHAINS[name]
+    table = {e.key: e for e in all_effects(PLACES, Extent((0.3,), (3.0,), 0.3, 5.0, 0.0))}
+    made = record(Chain(before, behind))
+    placed = [Placed(table[key], shape, amplitudes) for key, amplitudes, shape in parts]
+    assert relative_error(made) > 0.1
+    # A command behind a lag is held over each period at its mean: a limit within it is not seen.
+    assert relative_error(made, *placed) < 1e-3
+    # In the other order it would be another plant.
+    twins = [
+        replace(p, effect=e)
+        for p in placed
+        for e in table.values()
+        if e != p.effect and same_law(e, p.effect)
+    ]
+    kept = [p for p in placed if not any(same_law(t.effect, p.effect) for t in twins)]
+    assert relative_error(made, *kept, *twins) > 1e-2
 
 
 def test_every_effect_of_imported_plants_is_simulated() -> None:

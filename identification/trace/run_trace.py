@@ -143,8 +143,9 @@ def _trace(
         start = _with_random_forces(declared, _shaken(declared, logged, workers))
     if start is not declared:
         start, _ = refine(start, logged, within=NEARLY)
-    # Without a lag, a law is the same before and behind it.
+    # Without a lag, a law is the same before and behind it; this search has each law once.
     named = [e for e in table.named if not e.before_lag or declared.model.lagging]
+    named = [e for e in named if not e.beside]
     found = search(start, named, table.free, logged, progress, options)
     if start is not declared:
         point = replace(found.point, disturbance=declared.disturbance)

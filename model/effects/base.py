@@ -301,6 +301,8 @@ class Effect:
     """Whether its depth is 1 where the law is all there is: other values stand for another law."""
     same_if_linear: tuple[str, ...] = ()
     """Effects, by key, that no record tells from this one in a plant that is linear otherwise."""
+    beside: str = ""
+    """Key of the law at its place beside which alone it is asked: one more of the same kind."""
     before_lag: str = ""
     """Key of the law that does the same to the command, before a lag that the actuator has; this
     one acts behind it. Empty for laws that have no such twin."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from .lag_and_hysteresis_recursions import oscillator, smooth_oscillator
 from .operating_range import Extent
 from .point_force_conversion import forces
 
+_LOOSE = "flexible_mode.loose_mass"
 PATTERNS = ("twist", "saddle", "dome", "wave_x", "wave_y", "egg_box")
 _RIGID = ("rigid_1", "rigid_2", "rigid_3")
 _MODES_HZ = (25.0, 45.0, 80.0, 140.0, 280.0)
@@ -34,27 +36,34 @@ _DAMPING = 0.08
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return a bending mode for each base pattern, and a mass on a spring for each DOF."""
-    return _modes(places, extent) + [
-        Effect(
-            "flexible_mode.loose_mass",
-            "Mass on a spring",
-            "flexible_mode",
-            (dof,),
-            "force = m (w^2 x + 2 zeta w x'), x'' + 2 zeta w x' + w^2 x = -q''; "
-            "w = 2 pi frequency, zeta = damping",
-            (Quantity("m", f"{places.force_unit(i)} s^2/{unit}", 0.0),),
-            partial(_loose_mass, dof=i),
-            _resonance(_LOWEST_HZ if places.beam else extent.slowest_hz),
-            (
-                *((f, _DAMPING) for f in _loose_hz(places, extent)),
-                *((f, zeta) for at, f, zeta in extent.dof_resonances if at == i),
-            ),
-            absorbed_by="far below its frequency: mass",
-            told_apart_by="excitation up to its frequency",
+    """Return a bending mode for each base pattern, and a mass on a spring for each DOF.
+
+    A DOF that is not the rig's may have another one.
+    """
+    number = 1 if places.beam else 2
+    found = _modes(places, extent)
+    for (i, dof), at in product(enumerate(places.dof), range(number)):
+        found.append(
+            Effect(
+                _LOOSE + (".another" if at else ""),
+                "Another mass on a spring" if at else "Mass on a spring",
+                "flexible_mode",
+                (dof,),
+                "force = m (w^2 x + 2 zeta w x'), x'' + 2 zeta w x' + w^2 x = -q''; "
+                "w = 2 pi frequency, zeta = damping",
+                (Quantity("m", f"{places.force_unit(i)} s^2/{places.dof_units[i]}", 0.0),),
+                partial(_loose_mass, dof=i),
+                _resonance(_LOWEST_HZ if places.beam else extent.slowest_hz),
+                (
+                    *((f, _DAMPING) for f in _loose_hz(places, extent)),
+                    *((f, zeta) for of, f, zeta in extent.dof_resonances if of == i),
+                ),
+                absorbed_by="far below its frequency: mass",
+                told_apart_by="excitation up to its frequency",
+                beside=_LOOSE if at else "",
+            )
         )
-        for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
-    ]
+    return found
 
 
 def sites(placed: Placed, places: Places) -> tuple[str, ...]:

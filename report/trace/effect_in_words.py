@@ -111,6 +111,7 @@ _CLAUSES = {
     "friction.along_position": "dry friction on {at} varies along the position, every {pitch}",
     "friction.": "dry friction of {friction} acts on {at}",
     "flexible_mode.loose_mass": "a mass on a spring vibrates at {frequency} on {at}",
+    "flexible_mode.loose_mass.another": "another mass on a spring vibrates at {frequency} on {at}",
     "flexible_mode.": "a part of the platform vibrates at {frequency}",
     "centre_of_mass": "the centre of mass is off its declared place ({at})",
     "payload": "a load of {m} lies on the platform",

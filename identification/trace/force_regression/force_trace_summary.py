@@ -48,9 +48,10 @@ class FoundLaw:
     surely improves on it, None without one. grew: whether the model with all effects misses more
     force in the rows that neither fitted nor chose, and whether its free run is farther from them.
     floors: error of the free run over what the stated noise leaves of it, at the DOF where that is
-    most, nan without them or if hardly any of the error before is left. told: whether the force of
-    one of its amplitudes is told from zero. surely: standard errors from which on two numbers
-    differ; agreement: deviations within which data agree; accuracy: relative error of a right law.
+    most, nan without them or if hardly any of the error before is left, infinite if it converges
+    without effects only. told: whether the force of one of its amplitudes is told from zero.
+    surely: standard errors from which on two numbers differ; agreement: deviations within which
+    data agree; accuracy: relative error of a right law.
     """
 
     rated: Rated
@@ -97,12 +98,17 @@ class FoundLaw:
             ),
             "the rows that neither fitted nor chose miss more force with what was found": more,
             "with what was found the free run is farther from these rows": farther,
-            f"with what was found the free run is {self.floors:.2g} times the noise off": (
-                self.floors > self.agreement
-            ),
+            self._off: self.floors > self.agreement,
             f"its depth would be 1, but is {self.depth:.2g}": self.partial,
         }
         return tuple(reason for reason, so in reasons.items() if so)
+
+    @property
+    def _off(self) -> str:
+        """How far off the free run is."""
+        if np.isinf(self.floors):
+            return "with what was found the free run does not converge, so nothing confirms it"
+        return f"with what was found the free run is {self.floors:.2g} times the noise off"
 
     @property
     def depth(self) -> float:
@@ -444,8 +450,10 @@ def _floors(before: PooledError, after: PooledError, inexact: float) -> float:
     """Return the largest error of a free run over its floor, nan without them.
 
     Of a right law, what its equation may be wrong by is left, as a share of the error before:
-    DOF with less do not count.
+    DOF with less do not count. Where the free run converges no more, it is infinitely far.
     """
+    if np.any(np.isfinite(before.error) & np.isnan(after.error) & np.isfinite(after.floor)):
+        return float("inf")
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(after.error > inexact * before.error, after.error / after.floor, np.nan)
     known = ratios[np.isfinite(ratios)]

@@ -115,7 +115,10 @@ def _grown(
             break
         state = _without_idle(after, training, options)
         undecided = [k for k, r in state.rated.items() if r.alternatives and k in before.rated]
-        state = _against_rivals(state, undecided, named, training, options)
+        told = _against_rivals(state, undecided, named, training, options)
+        if set(told.rated) != set(state.rated):  # what was found last was found beside others
+            told = _against_rivals(told, list(told.rated), named, training, options)
+        state = told
     return state, nearest
 
 
@@ -191,7 +194,9 @@ def _ranking(
     fresh = [e for e in table if e.identity not in state.dropped]
     ranking = rate(point, _new(fresh, point.placed), training, options)
     for p in point.placed:
-        instead = [e for e in _asked(fresh) if e != p.effect and _exclude(e, p.effect)]
+        instead = [
+            e for e in _asked(fresh, point.placed) if e != p.effect and _exclude(e, p.effect)
+        ]
         ranking += rate(point, instead, training, options, p)
     return sorted(ranking, key=by_gain)
 
@@ -262,13 +267,18 @@ def _distinct_choices(
 
 def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
     """Return the effects of a table that may act beside those of a model."""
-    asked = _asked(table)
+    asked = _asked(table, placed)
     return [e for e in asked if not any(_exclude(e, p.effect) for p in placed)]
 
 
-def _asked(table: Sequence[Effect]) -> list[Effect]:
-    """Return the effects of a table, each law once: whether before or behind a lag, fits decide."""
-    return [e for e in table if not e.before_lag]
+def _asked(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
+    """Return the effects of a table that are asked beside others.
+
+    Each law is asked once: whether it is before or behind a lag, the fits decide.
+    """
+    there = {(p.effect.key, p.effect.where) for p in placed}
+    once = [e for e in table if not e.before_lag]
+    return [e for e in once if not e.beside or (e.beside, e.where) in there]
 
 
 def _exclude(one: Effect, other: Effect) -> bool:
@@ -338,8 +348,10 @@ def _against_rivals(
             continue
         rated = state.rated[identity]
         kept = tuple(p for p in state.point.placed if p is not own)
-        contenders = [e for e in rated.contenders if not same_law(e, own.effect)]
-        rivals = [own.effect, *_new(contenders, kept)]
+        contenders = [e for r in state.rated.values() for e in r.contenders]
+        known = {(e.key, e.where) for e in contenders}
+        contenders += [e for e in named if (e.beside, e.where) in known]
+        rivals = [own.effect, *(e for e in _new(contenders, kept) if not same_law(e, own.effect))]
         rivals = list({e.identity: e for e in rivals}.values())
         rest = training.fit(replace(state.point, placed=kept))
         ranking = rate(rest, rivals, training, options)

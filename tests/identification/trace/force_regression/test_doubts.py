@@ -86,6 +86,7 @@ def test_a_law_at_the_limit_of_its_shape_is_in_doubt(
         (1.01, 0.001, 1.0, False),
         (1.31, 0.2, 1.0, False),  # not told from 1
         (1.0, 0.01, 70.0, True),
+        (1.0, 0.01, np.inf, True),  # it does not converge
     ],
 )
 def test_a_partial_law_and_a_free_run_that_stays_off_are_in_doubt(

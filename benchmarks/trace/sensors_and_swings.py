@@ -174,7 +174,9 @@ KINDS = {
     "propeller": Kind(
         PROPELLER + "lag_s: lag_s\n", ("d1", "k1", "b", "lag_s"), frozenset({SQUARE}), _propeller
     ),
-    "propeller with a lag": Kind(PROPELLER, ("d1", "k1", "b"), frozenset({SQUARE}), _propeller),
+    "propeller with a lag": Kind(
+        PROPELLER, ("d1", "k1", "b"), frozenset({SQUARE, ("actuator_lag", ("f",))}), _propeller
+    ),
     "cart and arm": Kind(
         CART, (*AXIS, "d2", "w", "h"), frozenset({("inertia", ("x", "arm"))}), _cart,
         (("h", "h", 1.0),), CUBIC_OR_SINE,

@@ -138,9 +138,9 @@ class FoundLaw:
 
     @property
     def unequal(self) -> bool:
-        """Whether two numbers that are one if the law is all there is differ by half, surely.
+        """Whether two numbers that are one if the law is all there is surely differ.
 
-        By less they differ where the law is nearly right: a delay that is taken for a lag.
+        By less than a right law's accuracy they may.
         """
         if self.placed.effect.equal_numbers is None or self.alternatives:
             return False
@@ -149,7 +149,8 @@ class FoundLaw:
             return False
         apart = abs(one.value - other.value)
         error = math.hypot(one.se, other.se)
-        return apart > max(self.surely * error, 0.5 * max(abs(one.value), abs(other.value)))
+        size = max(abs(one.value), abs(other.value))
+        return apart > max(self.surely * error, self.accuracy * size)
 
     @property
     def inexact(self) -> str:

@@ -36,7 +36,8 @@ def found(rated: Rated, numbers: dict[str, EffectParameter], floors: float = np.
     [
         (0.017, 0.1, 1e-3, True),
         (0.017, 0.08, 0.03, False),  # not told apart
-        (0.004, 0.006, 1e-6, False),  # by less than half
+        (0.025, 0.0273, 4e-4, True),  # a delay that stands for a lag of third order
+        (0.0198, 0.02, 1e-6, False),  # by less than the accuracy of a law
         (0.02, 0.02, 1e-6, False),
     ],
 )

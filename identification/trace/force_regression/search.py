@@ -129,46 +129,32 @@ def _with_two_at_once(
     training: Training,
     options: SearchOptions,
 ) -> _State | None:
-    """Return the state with two effects that need each other, None without such.
-
-    Both count if both are confirmed beside each other, by the same criterion as all.
-    """
-    for first in _first_of_two(state, ranking, training, options):
-        kept = tuple(p for p in state.point.placed if p is not first.instead_of)
-        alone = _State(
-            training.fit(replace(state.point, placed=(*kept, first.placed))),
-            {**_without_replaced(state, first), first.placed.effect.identity: first},
-            state.dropped,
-            (*state.not_taken, ()),
-        )
-        others = _ranking(alone, named, training, options)
-        after = _with_best(alone, others, named, training, options)
-        if after is None:
-            continue
-        both = _without_idle(after, training, options)
-        if len(both.rated) == len(after.rated) > len(state.rated) + 1:
-            return both
-    return None
-
-
-def _first_of_two(
-    state: _State, ranking: Sequence[Rated], training: Training, options: SearchOptions
-) -> Sequence[Rated]:
-    """Return the effects that are tried with another one beside them.
+    """Return the state with the effect that gains most and another one, if they need each other.
 
     While two effects are missing, what one record says of one of them may be mostly the other: so
-    an effect that only another record contradicts is tried. Where much is left and no effect is
-    confirmed by itself, those that gain most are: a lag and the square behind it are one by one
-    nothing like both.
+    an effect that only another record contradicts is tried. Both count if both are confirmed
+    beside each other, by the same criterion as all.
     """
-    if not ranking or len(state.rated) + 2 > options.most_effects:
-        return ()
-    if confirmed_here(ranking[0], options):
-        return () if ranking[0].gain.elsewhere else ranking[:1]
-    if any(confirmed(r, options) for r in ranking):
-        return ()
-    much = training.cost(state.point) > options.much_left**2 * training.expected
-    return ranking[: options.patience] if much else ()
+    first = ranking[0] if ranking else None
+    if first is None or first.gain.elsewhere or not confirmed_here(first, options):
+        return None
+    if len(state.rated) + 2 > options.most_effects:
+        return None
+    beside = replace(
+        state.point, placed=tuple(p for p in state.point.placed if p is not first.instead_of)
+    )
+    alone = _State(
+        training.fit(replace(beside, placed=(*beside.placed, first.placed))),
+        {**_without_replaced(state, first), first.placed.effect.identity: first},
+        state.dropped,
+        (*state.not_taken, ()),
+    )
+    ranking = _ranking(alone, named, training, options)
+    after = _with_best(alone, ranking, named, training, options)
+    if after is None:
+        return None
+    both = _without_idle(after, training, options)
+    return both if len(both.rated) == len(after.rated) > len(state.rated) + 1 else None
 
 
 def _with_another_choice(

@@ -19,8 +19,8 @@ _ON_COMMAND = ("dead_zone", "saturation", "actuator_nonlinearity")
 _ON_FORCE = ("thermal_drift", "force_constant", "torque_ripple", "coil_gain")
 _LAGS = ("rate_limit", "actuator_lag")
 _ORDER = (*_ON_COMMAND, *_LAGS, "delay", *(f"{kind} behind" for kind in _ON_COMMAND), *_ON_FORCE)
-"""Classes of effects in the order in which a command passes them. A delay is behind no other part
-that would show it."""
+"""Classes of effects in the order in which a command passes them. Where a delay is among them does
+not show."""
 _TINY = float(np.finfo(float).tiny)
 _SMALL = 1e-3
 """Change of a command over the command, with which later parts are differentiated."""

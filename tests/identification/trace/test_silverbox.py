@@ -5,22 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from levid.benchmarks.harness import silverbox
 from levid.config.model import load_model
 from levid.identification.trace.force_regression.force_trace_summary import force_summary
 from levid.identification.trace.force_regression.trace_imported import trace_imported
-from levid.identification.trace.linearised.linearisation_point import WorkingPoint
-from levid.identification.trace.records.record_from_log import trace_record
-from levid.identification.trace.residual.free_run_with_effects import free_run
 from levid.identification.trace.run_trace import trace
 from levid.identification.trace.worker_pool import Alone
-from levid.log.reader import read_log
-from levid.model.effects.base import Effect, Places
 from levid.model.effects.candidate_effects import all_effects
-from levid.model.effects.operating_range import Extent
 
 TRAIN = ((40_650, 48_841), (65_226, 73_417), (89_802, 97_993))
 """Rows of three eighths of the usual training data, for speed."""
@@ -34,31 +27,15 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def test_error(point: WorkingPoint, log: Path) -> float:
-    """Return the rms error in V of a free run of the test part."""
-    record = trace_record(read_log(log), CONFIG)
-    run = free_run(point, record)
-    assert run.settled
-    error = record.gap[:, 0] - run.gap[:, 0]
-    return float(np.sqrt(np.mean(error[run.counts_from :] ** 2)))
-
-
-test_error.__test__ = False  # type: ignore[attr-defined]
-
-
-def laws_of_motion(places: Places, extent: Extent) -> list[Effect]:
-    """Return the laws of position and speed: with all others the trace takes twice as long."""
-    classes = {"stiffness", "damping", "friction", "inertia"}
-    return [e for e in all_effects(places, extent) if e.effect_class in classes]
-
-
 def test_laws_in_the_prediction_errors_reduce_the_error(tmp_path: Path) -> None:
     logs = [silverbox.imported(rows, tmp_path) for rows in SHORT]
-    found = trace(logs, CONFIG, laws_of_motion, Alone(CONFIG), lambda *_: None)
+    found = trace(logs, CONFIG, silverbox.laws_of_motion, Alone(CONFIG), lambda *_: None)
     named = [p.effect.key for p in found.found.point.placed]
     assert named[0] == "stiffness.cubic"
     unseen = silverbox.imported(silverbox.TEST, tmp_path)
-    before, after = (test_error(p, unseen) for p in (found.declared, found.found.point))
+    before, after = (
+        silverbox.free_run_error(p, unseen) for p in (found.declared, found.found.point)
+    )
     # Errors: 7 mV with a linear model, 0.65 mV with x^3, below 0.40 mV with more.
     assert before > 5e-3
     assert after < 0.40e-3
@@ -66,7 +43,7 @@ def test_laws_in_the_prediction_errors_reduce_the_error(tmp_path: Path) -> None:
         found.found.point,
         placed=tuple(p for p in found.found.point.placed if p.effect.key == "stiffness.cubic"),
     )
-    assert test_error(alone, unseen) < before / 3  # x^3 gives most of the reduction
+    assert silverbox.free_run_error(alone, unseen) < before / 3  # x^3 gives most of the reduction
 
 
 def test_cubic_stiffness_alone_is_named_in_the_missing_force(tmp_path: Path) -> None:

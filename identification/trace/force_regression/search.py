@@ -364,7 +364,7 @@ def _against_rivals(
         best, point = fitted_rivals(rest, first, ranking, training, options, named)[0]
         others = {k: r for k, r in state.rated.items() if k != identity}
         others[best.placed.effect.identity] = best
-        state = _State(point, _by_law(others, point), state.dropped)
+        state = replace(state, point=point, rated=_by_law(others, point))
     return state
 
 

@@ -4,6 +4,10 @@
 PYTHON ?= python3
 PACKAGES := cli api report daemon identification drivers sim log wire model config
 
+# Containers often forbid Python to keep bytecode; tests start Python some thousand times, and each would compile
+# numpy and scipy anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 VENV := .venv
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed-runtime

@@ -195,7 +195,7 @@ def acceleration_limit(experiment: Experiment, sd: Array) -> float:
     return _derivative_limit(experiment, sd, 2, _NOISE_SHARE)
 
 
-def velocity_limit(experiment: Experiment, sd: Array) -> float:
+def quiet_velocity_limit(experiment: Experiment, sd: Array) -> float:
     """Return the frequency in Hz below which noise is 1 % of the RMS of every velocity.
 
     It is 0.4 of the rate at most.
@@ -204,17 +204,36 @@ def velocity_limit(experiment: Experiment, sd: Array) -> float:
     return min(limit_hz, _WIDEST / experiment.Ts_s)
 
 
+def velocity_limit(experiment: Experiment, sd: Array) -> float:
+    """Return the frequency in Hz up to which every velocity is worth its noise.
+
+    Below it noise is 1 % of the RMS of the velocity, or what is added to the velocity is more than
+    its noise: a velocity that lacks what is above is wrong by that. It is 0.4 of the rate at most.
+    """
+    freq_hz, power, noise = _derivative_spectra(experiment, sd, 1)
+    # What is left out and the noise that is let in are least together, as by Wiener's filter.
+    best = np.argmax(np.cumsum(power - 2.0 * noise, axis=0), axis=0)
+    found = max(float(freq_hz[best.min()]), quiet_velocity_limit(experiment, sd))
+    return min(found, _WIDEST / experiment.Ts_s)
+
+
 def _derivative_limit(experiment: Experiment, sd: Array, order: int, share: float) -> float:
     """Return the frequency in Hz below which noise is a share of the power of a derivative."""
+    freq_hz, power, noise = _derivative_spectra(experiment, sd, order)
+    good = np.all(np.cumsum(noise, axis=0) <= share * np.cumsum(power, axis=0), axis=1)
+    found = freq_hz[good][-1] if np.any(good) else 0.0
+    return max(float(found), 4.0 / (len(experiment.y) * experiment.Ts_s))
+
+
+def _derivative_spectra(
+    experiment: Experiment, sd: Array, order: int
+) -> tuple[Array, Array, Array]:
+    """Return frequencies (F,), and the power of derivatives of outputs and of their noise (F, n)."""
     Ts_s, rows = experiment.Ts_s, len(experiment.y)
     segment = max(rows // 4, min(rows, SHORTEST_ROWS))
     freq_hz, psd = welch(detrend(experiment.y, axis=0), 1 / Ts_s, nperseg=segment, axis=0)
     squared = freq_hz[:, None] ** (2 * order)
-    seen = np.cumsum(squared * psd, axis=0)
-    noise = np.cumsum(squared * 2.0 * Ts_s * sd**2 * np.ones_like(psd), axis=0)
-    good = np.all(noise <= share * seen, axis=1)
-    found = freq_hz[good][-1] if np.any(good) else 0.0
-    return max(float(found), 4.0 / (rows * Ts_s))
+    return freq_hz, squared * psd, squared * 2.0 * Ts_s * sd**2 * np.ones_like(psd)
 
 
 def middle_limit(experiments: Sequence[Experiment], hold: Hold) -> float:

@@ -22,7 +22,7 @@ from ....model.effects.actuator_chain import beside, passed_on, reaching
 from ....model.effects.base import Effect, Placed, Signals, Term
 from ....model.second_order import SecondOrder
 from ...greybox.experiment.intersample_input import Hold
-from ...greybox.force_balance.band_limited_signals import BandLimited
+from ...greybox.force_balance.band_limited_signals import BandLimited, quiet_velocity_limit
 from ...greybox.free_parameters import FreeParameters
 from ..records.record_from_log import TraceRecord
 from .rests import moving_rows
@@ -111,9 +111,13 @@ class ForceRecord:
             e.Ts_s, record.time_s, q, qd, qdd, record.coil, none, none, none, none, none, none,
             e.delay_cycles, record.places, around_rows=True,
         )  # fmt: skip
-        moves = moving_rows(qd, sd, e.Ts_s, law_hz, 1.0 / cutoff_hz)[band.kept].astype(float)
+        # A rest is told by a velocity without much noise.
+        rest_hz = min(max(cutoff_hz, quiet_velocity_limit(e, sd)), law_hz)
+        quiet = law if rest_hz == law_hz else BandLimited.of(e, hold, rest_hz, _OVERSAMPLED)
+        moves = moving_rows(quiet.derivatives[1], sd, e.Ts_s, rest_hz, 1.0 / cutoff_hz)
         return cls(
-            record.name, band, signals, band.kept_derivatives(), moves, record.places.decoupling,
+            record.name, band, signals, band.kept_derivatives(), moves[band.kept].astype(float),
+            record.places.decoupling,
             sd, every_row if e.moving else band, e.schedule if e.moving else {},
         )  # fmt: skip
 

@@ -121,3 +121,17 @@ def test_velocity_limit_is_where_noise_is_a_hundredth_of_the_velocity() -> None:
     # The grid of Welch's segments is 0.25 Hz, and their window leaks a few per cent of a line.
     assert velocity_limit(e, np.array([sd_m])) == pytest.approx(expected, rel=0.05)
     assert velocity_limit(e, np.array([1e-9])) == 0.4 / TS
+
+
+def test_velocity_limit_leaves_no_motion_out_that_is_above_its_noise() -> None:
+    rng, t = np.random.default_rng(2), TS * np.arange(ROWS)
+    slow, fast = (np.sin(2 * np.pi * f_hz * t) for f_hz in (2.0, 12.0))
+    sd_m = 2e-4
+    # The noise below 12 Hz is 20 % of the velocity's RMS, but the line at 12 Hz is half of it.
+    y = (0.01 * slow + 0.0016 * fast + sd_m * rng.normal(size=ROWS))[:, None]
+    e = Experiment("r", TS, np.zeros((ROWS, 1)), y, {}, frozenset(), False)
+    assert 12.0 < velocity_limit(e, np.array([sd_m])) < 14.0
+    alone = (0.01 * slow + sd_m * rng.normal(size=ROWS))[:, None]
+    without = Experiment("r", TS, np.zeros((ROWS, 1)), alone, {}, frozenset(), False)
+    # A line is 1.5 times the grid wide in the window of Welch's segments, and leaks beyond it.
+    assert velocity_limit(without, np.array([sd_m])) < 8.0

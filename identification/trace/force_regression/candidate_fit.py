@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import least_squares, lsq_linear, minimize_scalar
 
 from ....model.effects.base import Effect, Placed, Quantity
 from .force_record import ForceModel
@@ -20,6 +20,7 @@ from .training_records import Evaluated, Training
 Array = NDArray[np.float64]
 
 _EVALUATIONS = 25
+_LINE_STEPS = 10
 _DIFFERENCE = 1e-3
 _INSIDE = 1e-6
 _SHARE, _SHARE_LOG = 0.25, 1.0
@@ -145,6 +146,8 @@ def fitted_candidate(
 
     x = _coordinates(effect.shape, shape)
     if len(x):
+        for i, (low, high) in enumerate(_neighbours(effect, x)):
+            x = _along(residual, x, i, low, high)
         found = least_squares(
             residual,
             np.clip(x, 1.0 + _INSIDE, 2.0 - _INSIDE),
@@ -160,6 +163,36 @@ def fitted_candidate(
     if not np.any(amplitudes) or taken_at(beside, effect, end, told_from_model) is None:
         return None
     return Placed(effect, end, tuple(amplitudes.tolist()))
+
+
+def _along(residual: Callable[[Array], Array], x: Array, i: int, low: float, high: float) -> Array:
+    """Return coordinates with the `i`-th one where least is left between two bounds.
+
+    A kink, as that of a contact, moves what is left by its curvature more than by its slope: steps
+    by slopes creep there.
+    """
+
+    def left(value: float) -> float:
+        rest = residual(np.concatenate([x[:i], [value], x[i + 1 :]]))
+        return float(rest @ rest)
+
+    found = minimize_scalar(
+        left, bounds=(low, high), method="bounded", options={"maxiter": _LINE_STEPS}
+    )
+    if not found.fun < left(float(x[i])):
+        return x
+    return np.concatenate([x[:i], [float(found.x)], x[i + 1 :]])
+
+
+def _neighbours(effect: Effect, x: Array) -> list[tuple[float, float]]:
+    """Return for each coordinate those of the grid below and above, or the bounds."""
+    grid = np.array([_coordinates(effect.shape, shape) for shape in effect.grid])
+    found = []
+    for own, column in zip(x.tolist(), grid.T, strict=True):
+        apart = np.abs(column - own) > _INSIDE
+        below, above = column[apart & (column < own)], column[apart & (column > own)]
+        found.append((float(below.max(initial=1.0)), float(above.min(initial=2.0))))
+    return found
 
 
 def flat(columns: Sequence[Array]) -> Array:

@@ -252,6 +252,9 @@ class Quantity:
     difference: float = 1e-3
     """Relative change with which such a value's derivatives are computed: more, where each bounce
     off a stop comes otherwise after the last one came a little otherwise."""
+    corner: bool = False
+    """Whether it is the frequency of a filter of commands: far above what records resolve, such a
+    filter still makes them late."""
 
 
 Reshape = Callable[[Sequence[float], Sequence[float]], tuple[float, ...]]
@@ -346,6 +349,50 @@ class Placed:
     shape: tuple[float, ...]
     amplitudes: tuple[float, ...]
     standard_errors: Mapping[str, float] = field(default_factory=dict)
+    plain: bool = False
+    """Whether a fit holds it to the law as textbooks have it: a depth of 1 (`Effect.whole`), one
+    number for two that are equal (`Effect.equal_numbers`)."""
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Amplitudes, then the numbers of the shape."""
+        return (*self.amplitudes, *self.shape)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What its values are, in their order."""
+        return (*self.effect.amplitudes, *self.effect.shape)
+
+    @property
+    def freedom(self) -> Array:
+        """Which values each number that is free in a fit changes (values, numbers), by 1 each."""
+        names = [q.name for q in self.quantities]
+        free = np.eye(len(names))
+        if self.plain and self.effect.whole:
+            return np.delete(free, names.index("depth"), axis=1)
+        if self.plain and self.effect.equal_numbers is not None:
+            one, other = (names.index(name) for name in self.effect.equal_numbers)
+            free[other, one] = 1.0
+            return np.delete(free, other, axis=1)
+        return free
+
+    def as_textbook(self) -> Placed | None:
+        """Return it held to the law as textbooks have it; None if its law has no such form here.
+
+        An actuator that is earlier than declared has a negative lag, and no duration is negative.
+        """
+        names, values = [q.name for q in self.quantities], list(self.values)
+        if self.effect.whole:
+            values[names.index("depth")] = 1.0
+        elif self.effect.equal_numbers is not None:
+            one, other = (names.index(name) for name in self.effect.equal_numbers)
+            values[other] = values[one]
+        else:
+            return None
+        if not all(q.low <= v <= q.high for q, v in zip(self.quantities, values, strict=True)):
+            return None
+        count = len(self.amplitudes)
+        return replace(self.with_values(values[count:], values[:count]), plain=True)
 
     def term(self, signals: Signals) -> Term:
         """Return the total contribution of the effect."""
@@ -406,7 +453,8 @@ def resolved(effects: Sequence[Effect], fastest_hz: float) -> list[Effect]:
 
 
 def _resolved(effect: Effect, fastest_hz: float) -> Effect | None:
-    at = next((i for i, q in enumerate(effect.shape) if q.unit == "Hz" and q.log), None)
+    resonance = [q.unit == "Hz" and q.log and not q.corner for q in effect.shape]
+    at = next((i for i, is_one in enumerate(resonance) if is_one), None)
     if at is None or effect.shape[at].high <= fastest_hz:
         return effect
     grid = tuple(row for row in effect.grid if row[at] < fastest_hz)

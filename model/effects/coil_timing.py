@@ -111,7 +111,7 @@ def _of_second_order(places: Places, extent: Extent, coil: int) -> Effect:
         (Quantity("depth", "1"),),
         partial(_second_order, coil=coil),
         (
-            Quantity("frequency", "Hz", extent.slowest_hz, highest_hz, log=True),
+            Quantity("frequency", "Hz", extent.slowest_hz, highest_hz, log=True, corner=True),
             Quantity("damping", "1", 1e-3, _MOST_DAMPING, log=True),
         ),
         tuple((share * extent.highest_hz, _DAMPING) for share in _OVER_BAND),

@@ -118,10 +118,13 @@ def _with_what_came_near(
 ) -> list[ForceModel]:
     """Return the fitted models with each effect that is no chance, but was too small to be added.
 
-    It may be there: the numbers of what was found are not better known than it changes them. If the
+    It may be there: the numbers of what was found are not better known than it changes them. What
+    would be there instead of an effect found, as its alternative, is not there beside it. If the
     model misses more force with it, it lowers what has weights alone: with an actuator that is
     turned round, the controller is a plant that explains what a loop answers to a random force.
     """
+    known = {p.effect.identity for p in found.point.placed}
+    known |= {a.placed.effect.identity for r in found.rated for a in r.alternatives}
     near = [
         r.placed
         for r in found.nearest
@@ -129,7 +132,7 @@ def _with_what_came_near(
         and r.gain.elsewhere
         and r.gain.statistic > options.standard_errors
         and r.share > options.least_gain
-        and r.placed.effect.identity not in {p.effect.identity for p in found.point.placed}
+        and r.placed.effect.identity not in known
     ]
     more = [replace(found.point, placed=(*found.point.placed, placed)) for placed in near]
     plain = training.plain()

@@ -12,6 +12,7 @@ from ....model.effects.actuator_chain import orders
 from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
 from .force_record import ForceModel
+from .free_numbers import amplitudes_of, numbers_of
 from .held_out_gain import Blocks, Columns, block_sums, bounded, error_of_mean
 from .rated_candidate import Rated, confirmed, missing_after
 from .training_records import Training, missing_share
@@ -31,7 +32,8 @@ def fitted_rivals(
 
     `beside` is the model without them. `table` has all laws: some may act before or behind a lag,
     and the fits take the better order. Gains are foretold by a line, and a large effect moves the
-    model's other numbers: so candidates are compared where the fit with each of them ends. What is
+    model's other numbers: so candidates are compared where the fit with each of them ends. One that
+    is as good in its textbook form has a number less. What is
     not surely worse than the best is not told apart from it, nor is what equals it in a linear
     plant, where other effects are found at its inputs only. Of these the one with the fewest
     numbers comes first, and has the others as its alternatives, but for richer laws at its place: a
@@ -41,8 +43,15 @@ def fitted_rivals(
     fitted = list[_Fitted]()
     for rated in rivals:  # best first: most others soon prove to stay behind
         least = min((f.cost for f in fitted), default=0.0)
-        point = _in_best_order(beside, rated, table, training, least)
-        fitted.append(_Fitted.at(point, rated, training, training.noise(beside), options))
+        textbook = rated.placed.as_textbook()
+        plain = None if textbook is None else _plain(beside, textbook, table, training, least)
+        point = _in_best_order(beside, rated, table, training, least, plain)
+        noise = training.noise(beside)
+        own = _Fitted.at(point, rated, training, noise, options)
+        if plain is not None:
+            held = _Fitted.at(plain, rated, training, noise, options)
+            own = replace(own, textbook=not _worse(held, own, training.blocks, options))
+        fitted.append(own)
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
     alike.sort(key=lambda f: f.numbers)
@@ -59,7 +68,7 @@ def fitted_rivals(
     others = tuple(
         r
         for r, f in zip(named[1:], alike[1:], strict=True)
-        if not _richer(f, alike[0]) and not f.rated.as_simpler
+        if not _richer(f, alike[0], inputs) and not f.rated.as_simpler
     )
     best = replace(named[0], alternatives=others, contenders=contenders)
     rest = [f for f in fitted if f is not alike[0]]
@@ -73,10 +82,15 @@ def _acts_last(one: _Fitted) -> bool:
     return not any(p.effect.before_lag and p.effect.where == where for p in one.point.placed)
 
 
-def _richer(one: _Fitted, other: _Fitted) -> bool:
-    """Return whether one has more numbers at the same place."""
-    same = one.rated.placed.effect.where == other.rated.placed.effect.where
-    return same and one.numbers > other.numbers
+def _richer(one: _Fitted, other: _Fitted, inputs: set[str]) -> bool:
+    """Return whether one has more numbers at the same place, so that it contains the other.
+
+    Laws of an input do so only within their class: of a filter of second order, far above what the
+    records have, the delay alone is seen, but a delay is no simpler case of it.
+    """
+    own, simpler = one.rated.placed.effect, other.rated.placed.effect
+    nested = own.effect_class == simpler.effect_class or not inputs.issuperset(own.where)
+    return own.where == simpler.where and nested and one.numbers > other.numbers
 
 
 @dataclass(frozen=True)
@@ -88,7 +102,8 @@ class _Fitted:
     of each record (rows, n). Errors, cost and what is left are relative to what the noise of the
     outputs is in it, as errors of the outputs would be: an equation of motion holds times any
     factor and after any filter, so that an actuator's lag may take the place of the mass. share
-    (n,): what the squares are multiplied by for that.
+    (n,): what the squares are multiplied by for that. textbook: whether it is as good if it is held
+    to its textbook form.
     """
 
     rated: Rated
@@ -98,14 +113,16 @@ class _Fitted:
     left: tuple[Array, ...]
     by_force: Array
     share: Array
+    textbook: bool = False
 
     @property
     def numbers(self) -> int:
-        """Numbers of the candidate, without amplitudes that the blocks do not ask for.
+        """Numbers of the candidate, without what the blocks do not ask for.
 
-        Where a weight hangs in the zero of the angle, its law has one.
+        Where a weight hangs in the zero of the angle, its law has one amplitude; a lag that is no
+        other than in its textbook form has one number.
         """
-        return self.rated.numbers - self.rated.idle
+        return self.rated.numbers - self.rated.idle - self.textbook
 
     @classmethod
     def at(
@@ -126,7 +143,7 @@ class _Fitted:
         judged = training.judged(at, columns, groups)
         last = replace(rated, placed=point.placed[-1])
         # A shape that the records hardly determine would move far by a fit without a block.
-        kept = len(columns[0]) - len(last.placed.shape)
+        kept = len(columns[0]) - numbers_of(last.placed) + amplitudes_of(last.placed)
         held = judged.only(range(kept))
         left = missing_after(held.coefficients(), [c[:kept] for c in columns], at.missing)
         last = replace(last, idle=_idle_amplitudes(held, last.placed, options))
@@ -139,19 +156,35 @@ class _Fitted:
         return cls(last, point, cost, errors, relative, by_dof.sum(axis=1), more)
 
 
+def _plain(
+    beside: ForceModel, law: Placed, table: Sequence[Effect], training: Training, least: float
+) -> ForceModel:
+    """Fit the model with a candidate that is held to its textbook form, as `_in_best_order`."""
+    placed = orders((*beside.placed, law), table, beside.model.lagging)
+    fits = [training.fit(replace(beside, placed=order), least) for order in placed]
+    return min(fits, key=training.cost)
+
+
 def _in_best_order(
-    beside: ForceModel, rated: Rated, table: Sequence[Effect], training: Training, least: float
+    beside: ForceModel,
+    rated: Rated,
+    table: Sequence[Effect],
+    training: Training,
+    least: float,
+    plain: ForceModel | None,
 ) -> ForceModel:
     """Fit the model with a candidate; not to the end if it stays far above the least cost.
 
-    Of several orders of an actuator's laws it has the one that fits best.
+    Of several orders of an actuator's laws it has the one that fits best. From the fit of its
+    textbook form, if it has one, it is fitted too: how much there is of it, and how it is, may be
+    along one valley.
     """
-    placed = (*beside.placed, rated.placed)
-    fits = [
-        training.fit(replace(beside, placed=order), least)
-        for order in orders(placed, table, beside.model.lagging)
-    ]
-    return min(fits, key=training.cost)
+    placed = orders((*beside.placed, rated.placed), table, beside.model.lagging)
+    begins = [replace(beside, placed=order) for order in placed]
+    if plain is not None:
+        freed = [replace(p, plain=False) for p in plain.placed]
+        begins.append(replace(plain, placed=tuple(freed)))
+    return min((training.fit(begin, least) for begin in begins), key=training.cost)
 
 
 def richer_matters(
@@ -181,6 +214,8 @@ def _idle_amplitudes(held: Columns, placed: Placed, options: SearchOptions) -> i
 
     held: columns of the model, of which the last are the amplitudes.
     """
+    if placed.plain:
+        return 0
     with_all, count = held.left_out_errors(), len(held.prior) - 1
     first, idle = count - len(placed.amplitudes), 0
     for i, amplitude in enumerate(placed.amplitudes, start=first):

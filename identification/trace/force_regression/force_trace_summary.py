@@ -15,6 +15,7 @@ from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from ...json_data import plain_json
 from ..parameter_covariance import parameter_covariance
+from .free_numbers import by_value, numbers_of
 from .rated_candidate import Rated
 from .reported_errors import PooledError
 from .trace_imported import ForceTrace, pooled_errors
@@ -111,6 +112,13 @@ class FoundLaw:
         return f"with what was found the free run is {self.floors:.2g} times the noise off"
 
     @property
+    def _another_law(self) -> bool:
+        """Whether a law that these records do not tell from it is not the same at another place."""
+        own = self.placed.effect
+        others = [r.placed.effect for r in self.alternatives]
+        return any(e.key not in own.same_if_linear for e in others)
+
+    @property
     def depth(self) -> float:
         """Its depth, 1 for a law of which it is the whole."""
         found = self.parameters.get("depth")
@@ -119,7 +127,7 @@ class FoundLaw:
     @property
     def partial(self) -> bool:
         """Whether its depth surely is not 1, though the law has no other value."""
-        if not self.placed.effect.whole or self.alternatives:
+        if not self.placed.effect.whole or self._another_law:
             return False
         se = self.parameters["depth"].se
         return se is not None and abs(self.depth - 1.0) > max(self.surely * se, self.accuracy)
@@ -142,7 +150,7 @@ class FoundLaw:
 
         By less than a right law's accuracy they may.
         """
-        if self.placed.effect.equal_numbers is None or self.alternatives:
+        if self.placed.effect.equal_numbers is None or self._another_law:
             return False
         one, other = (self.parameters[name] for name in self.placed.effect.equal_numbers)
         if one.se is None or other.se is None:
@@ -388,18 +396,18 @@ def model_with_effects(trace: ForceTrace) -> ModelConfig:
 
 
 def _parameters(trace: ForceTrace) -> list[dict[str, EffectParameter]]:
-    """Return the parameters of each effect of the found model, by name, amplitudes first."""
+    """Return the parameters of each effect of the found model, by name, amplitudes first.
+
+    What is held, as the depth of a plain law, has no standard error.
+    """
     at, found = len(trace.found.point.values), []
     for p in trace.found.point.placed:
-        quantities = (*p.effect.amplitudes, *p.effect.shape)
-        errors = trace.errors[at : at + len(quantities)]
-        at += len(quantities)
+        errors = by_value(p, trace.errors[at : at + numbers_of(p)], np.inf)
+        at += numbers_of(p)
         found.append(
             {
                 q.name: EffectParameter(value=value, unit=q.unit, se=_finite(error))
-                for q, value, error in zip(
-                    quantities, (*p.amplitudes, *p.shape), errors.tolist(), strict=True
-                )
+                for q, value, error in zip(p.quantities, p.values, errors.tolist(), strict=True)
             }
         )
     return found

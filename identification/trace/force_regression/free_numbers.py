@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,21 +16,40 @@ Shape = tuple[float, ...]
 
 
 def numbers(point: ForceModel) -> Array:
-    """Return all numbers of a model (F + effects'): parameters, then amplitudes and shapes."""
-    placed = [v for p in point.placed for v in (*p.amplitudes, *p.shape)]
-    return np.concatenate([point.values, np.array(placed)])
+    """Return all free numbers of a model (F + effects'): parameters, then those of effects."""
+    parts = [_free(p, p.values) for p in point.placed]
+    return np.concatenate([point.values, *parts])
 
 
 def numbers_of(placed: Placed) -> int:
-    """Return the number of an effect's amplitudes and shape parameters."""
-    return len(placed.amplitudes) + len(placed.shape)
+    """Return the number of an effect's free amplitudes and shape parameters."""
+    return int(placed.freedom.shape[1])
+
+
+def amplitudes_of(placed: Placed) -> int:
+    """Return how many of an effect's free numbers, the first ones, are amplitudes."""
+    return int(placed.freedom[: len(placed.amplitudes)].any(axis=0).sum())
+
+
+def by_value(placed: Placed, of_numbers: Array, held: float) -> Array:
+    """Return what is known of an effect's free numbers (numbers,) for all of its values (values,).
+
+    held: the same of a value that is not free.
+    """
+    free = placed.freedom
+    return np.asarray(np.where(free.any(axis=1), of_numbers[np.argmax(free, axis=1)], held))
+
+
+def _free(placed: Placed, values: Sequence[float]) -> Array:
+    """Return the free ones of an effect's values."""
+    return np.asarray(np.array(values)[np.argmax(placed.freedom, axis=0)])
 
 
 def way(begin: ForceModel, point: ForceModel) -> Array:
     """Return the change of all free numbers, parameters in their scale."""
     parts = [(point.values - begin.values) / point.parameters.scale]
     for old, new in zip(begin.placed, point.placed, strict=True):
-        parts.append(np.subtract([*new.amplitudes, *new.shape], [*old.amplitudes, *old.shape]))
+        parts.append(_free(new, new.values) - _free(new, old.values))
     return np.concatenate(parts)
 
 
@@ -47,14 +67,16 @@ def room(point: ForceModel) -> tuple[Array, Array]:
     low = list((free.low - values) / free.scale)
     high = list((free.high - values) / free.scale)
     for p in point.placed:
-        for q, value in zip(
-            (*p.effect.amplitudes, *p.effect.shape), (*p.amplitudes, *p.shape), strict=True
-        ):
+        downs, ups = [], []
+        for q, value in zip(p.quantities, p.values, strict=True):
             down, up = q.low - value, q.high - value
             if q.log:  # a long step in a logarithm is none that a line describes
                 down, up = max(down, -0.5 * value), min(up, value)
-            low.append(down)
-            high.append(up)
+            downs.append(down)
+            ups.append(up)
+        changed = p.freedom.T > 0.0
+        low += [max(np.array(downs)[of]) for of in changed]
+        high += [min(np.array(ups)[of]) for of in changed]
     least = np.finfo(float).eps
     return np.minimum(low, -least), np.maximum(high, least)
 
@@ -63,13 +85,12 @@ def moved_by(point: ForceModel, step: Array) -> ForceModel:
     """Return the point moved by a step of all free numbers."""
     free = point.parameters
     count = len(free.names)
-    values = np.clip(point.values + step[:count] * free.scale, free.low, free.high)
+    parameters = np.clip(point.values + step[:count] * free.scale, free.low, free.high)
     placed, at = [], count
     for p in point.placed:
-        numbers = np.array([*p.amplitudes, *p.shape]) + step[at : at + numbers_of(p)]
-        quantities = (*p.effect.amplitudes, *p.effect.shape)
-        numbers = np.clip(numbers, [q.low for q in quantities], [q.high for q in quantities])
+        values = np.array(p.values) + p.freedom @ step[at : at + numbers_of(p)]
+        values = np.clip(values, [q.low for q in p.quantities], [q.high for q in p.quantities])
         split = len(p.amplitudes)
-        placed.append(p.with_values(numbers[split:].tolist(), numbers[:split].tolist()))
+        placed.append(p.with_values(values[split:].tolist(), values[:split].tolist()))
         at += numbers_of(p)
-    return replace(point.with_values(values), placed=tuple(placed))
+    return replace(point.with_values(parameters), placed=tuple(placed))

@@ -12,7 +12,7 @@ from ....model.effects.base import Placed
 from ...subspace.response_uncertainty import SURE_95
 from .candidate_fit import flat
 from .force_record import ForceModel, ForceRecord
-from .free_numbers import numbers
+from .free_numbers import numbers, numbers_of
 from .training_records import Training
 
 Array = NDArray[np.float64]
@@ -128,13 +128,12 @@ def relative_force_errors(
                 step = 2.0 * _DIFFERENCE * point.parameters.scale[i]
                 gradients[:, i] = (ends[0] - ends[1]) / step
         amplitudes = np.array(p.amplitudes)
-        here = first + np.arange(len(amplitudes))
         gradients *= amplitudes[:, None]
-        gradients[np.arange(len(amplitudes)), here] += 1.0
+        gradients[:, first : first + numbers_of(p)] += p.freedom[: len(amplitudes)]
         errors = uncertainty.standard_errors(gradients)
         with np.errstate(divide="ignore", invalid="ignore"):
             found.append(np.where(errors > 0.0, errors / np.abs(amplitudes), 0.0))
-        first += len(amplitudes) + len(p.shape)
+        first += numbers_of(p)
     return found
 
 

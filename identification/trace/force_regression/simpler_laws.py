@@ -3,6 +3,10 @@
 A richer law may be taken because its fit began nearer to the truth, and end as a simpler one: a
 Stribeck peak of 0 is Coulomb friction. So each simpler law is fitted from the numbers of the richer
 one, and the richer one stays only if it is confirmed beside the simpler, as any other effect.
+
+A search asks of a lag how much of it there is, and how long it lasts; of the law as textbooks have
+it these are one number. It is held to that where the records do not tell otherwise, and its other
+numbers are then better known.
 """
 
 from __future__ import annotations
@@ -10,11 +14,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ....model.effects.base import Effect
 from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate
+from .certainty_of_effects import with_numbers
 from .compare_fitted_candidates import richer_matters
 from .force_record import ForceModel
+from .intervals import Influences
 from .rated_candidate import Rated, confirmed, rated_beside
 from .search import Searched
 from .training_records import Training
@@ -39,6 +47,45 @@ def with_simpler_laws(
                 found = _replaced(found, identity, *taken)
                 break
     return found
+
+
+def with_plain_laws(found: Searched, training: Training, options: SearchOptions) -> Searched:
+    """Return the result with each found law held to its textbook form, if the records agree."""
+    for identity in [r.placed.effect.identity for r in found.rated]:
+        own = next(p for p in found.point.placed if p.effect.identity == identity)
+        held = own.as_textbook()
+        if held is None:
+            continue
+        others = tuple(p for p in found.point.placed if p is not own)
+        free, plain = (
+            training.fit(replace(found.point, placed=(*others, one))) for one in (own, held)
+        )
+        rated = next(r for r in found.rated if r.placed.effect.identity == identity)
+        matters = richer_matters(free, plain, rated, training, options)
+        if not matters and not _surely_another(free, training, options):
+            found = with_numbers(found, plain)
+    return found
+
+
+def _surely_another(point: ForceModel, training: Training, options: SearchOptions) -> bool:
+    """Return whether the last law of a fitted model is surely not in its textbook form.
+
+    By less than a right law's accuracy it may differ.
+    """
+    free = point.placed[-1]
+    textbook = free.as_textbook()
+    if textbook is None:
+        return False
+    freedom = textbook.freedom
+    unit = np.eye(len(freedom))
+    gradients = (
+        unit - freedom @ unit[np.argmax(freedom, axis=0)]
+    )  # of the way from its textbook form
+    away = np.abs(np.subtract(free.values, textbook.values))
+    covariance = Influences.of(point, training).covariance()[-len(away) :, -len(away) :]
+    errors = np.sqrt(np.diag(gradients @ covariance @ gradients.T))
+    near = options.alike * np.abs(textbook.values)
+    return bool(np.any(away > np.maximum(options.standard_errors * errors, near)))
 
 
 def _as_good(

@@ -46,7 +46,7 @@ from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
 from .scale_of_equations import with_told_scales
 from .search import Progress, Searched, search
-from .simpler_laws import with_simpler_laws
+from .simpler_laws import with_plain_laws, with_simpler_laws
 from .training_records import Training, missing_share
 
 Array = NDArray[np.float64]
@@ -162,6 +162,7 @@ def _traced(
     def searched(training: Training, begun: Searched | None) -> tuple[Searched, Certainty]:
         found = search(declared, table.named, free, training, options, progress, begun)
         found = with_simpler_laws(found, table.named, training, options)
+        found = with_plain_laws(found, training, options)
         progress("intervals", 0.9)
         last = judged(found, training)
         while (empty := last.says_nothing(options)) is not None:
@@ -201,7 +202,7 @@ def _traced(
         config, places, declared, found, last.errors, last.correlations, last.force_errors, before,
         after, 100.0 * last.form, last.left_share, curves, sd, stated, limit_hz, fitted,
         reported,
-        (*notes, *held, *table.notes, *_at_limits(found.point)), options,
+        (*notes, *held, *table.notes, *_at_limits(found.point), *_held(found.point)), options,
     )  # fmt: skip
 
 
@@ -229,6 +230,20 @@ def _at_limits(point: ForceModel) -> tuple[str, ...]:
                     f"{name} is at the {word} limit of its range in the model file, {limit:.4g}: "
                     "widen the range if it may be beyond; if not, the model lacks something"
                 )
+    return tuple(found)
+
+
+def _held(point: ForceModel) -> tuple[str, ...]:
+    """Return a note for each law that is held to its textbook form."""
+    found = []
+    for p in point.placed:
+        if p.plain and p.effect.equal_numbers is not None:
+            what = f"{' and '.join(p.effect.equal_numbers)} are one number"
+        elif p.plain:
+            what = "its depth is 1"
+        else:
+            continue
+        found.append(f"{p.effect.name}: {what}, as in its textbook law; the records agree")
     return tuple(found)
 
 

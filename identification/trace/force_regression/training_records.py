@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
 from .force_record import ForceModel, ForceRecord
-from .free_numbers import Shape, moved_by, numbers_of, room, shapes_beside, way
+from .free_numbers import Shape, amplitudes_of, moved_by, numbers_of, room, shapes_beside, way
 from .held_out_gain import Blocks, Columns
 from .residual_whitening import Whitening
 
@@ -129,27 +129,29 @@ class Training:
         return forces, along / np.maximum(at.power, _TINY)
 
     def effect_changes(self, at: Evaluated, placed: Placed) -> list[Array]:
-        """Return the changes of the groups by an effect's amplitudes and shape (c, 3, rows, n)."""
+        """Return the changes of the groups by an effect's free numbers (c, 3, rows, n)."""
         point, a, found = at.point, np.array(placed.amplitudes), []
+        free = placed.freedom.T
         for r in self.records:
             own = [r.group_changes(point, placed.effect, placed.shape)]
             for i, q in enumerate(placed.effect.shape):
                 low, high, width = shapes_beside(q, placed.shape, i)
                 lower, upper = (r.group_changes(point, placed.effect, s) for s in (low, high))
                 own.append(np.tensordot(a, (upper - lower) / width, 1)[None])
-            found.append(self._weighed(r, np.concatenate(own)))
+            found.append(self._weighed(r, np.tensordot(free, np.concatenate(own), 1)))
         return found
 
     def effect_columns(
         self, at: Evaluated, placed: Placed, changes: Sequence[Array]
     ) -> list[Array]:
-        """Return the columns of an effect's amplitudes and shape, each record (c, rows, n).
+        """Return the columns of an effect's free numbers, each record (c, rows, n).
 
         changes: those of `effect_changes`.
         """
         forces, pull = self._forces_of(at, changes)
-        count = len(placed.amplitudes)
-        shrinks = self.counts(at, np.array(placed.amplitudes), pull[:count])
+        count = amplitudes_of(placed)
+        amplitudes = np.array(placed.amplitudes)[:count]
+        shrinks = self.counts(at, amplitudes, pull[:count])
         pull = np.where(shrinks, pull, 0.0)
         return [f + pull[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)]
 

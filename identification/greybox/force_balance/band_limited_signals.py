@@ -228,7 +228,7 @@ def _derivative_limit(experiment: Experiment, sd: Array, order: int, share: floa
 def _derivative_spectra(
     experiment: Experiment, sd: Array, order: int
 ) -> tuple[Array, Array, Array]:
-    """Return frequencies (F,), and the power of derivatives of outputs and of their noise (F, n)."""
+    """Return frequencies (F,), and the power of a derivative and of its noise (F, n)."""
     Ts_s, rows = experiment.Ts_s, len(experiment.y)
     segment = max(rows // 4, min(rows, SHORTEST_ROWS))
     freq_hz, psd = welch(detrend(experiment.y, axis=0), 1 / Ts_s, nperseg=segment, axis=0)

@@ -62,7 +62,9 @@ def fitted_rivals(
         same = {key for f in alike if _acts_last(f) for key in f.rated.placed.effect.same_if_linear}
         known = [id(f) for f in alike]
         alike += [f for f in fitted if f.rated.placed.effect.key in same and id(f) not in known]
-    support = _support(fitted, ranking, options)
+    # What is no law in the form that it needs explains nothing that a law explains as well.
+    alike = [f for f in alike if f.is_law] or alike
+    support = _support([f for f in fitted if f.is_law] or fitted, ranking, options)
     named = [replace(f.rated, support=support(f.rated)) for f in alike]
     contenders = tuple(r.placed.effect for r in ranking)
     others = tuple(
@@ -114,6 +116,11 @@ class _Fitted:
     by_force: Array
     share: Array
     textbook: bool = False
+
+    @property
+    def is_law(self) -> bool:
+        """Whether it is as textbooks have it, or they have no other form of it."""
+        return self.textbook or self.rated.placed.as_textbook() is None
 
     @property
     def numbers(self) -> int:

@@ -19,6 +19,7 @@ from . import (
     flexible,
     friction,
     friction_along_position,
+    friction_of_load,
     gravity,
     input_crosstalk,
     linear_entries,
@@ -50,7 +51,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
     covered = Extent.typical(places) if extent is None else extent
     found: list[Effect] = [
         *stiffness.effects(places, covered),
-        *damping.effects(places),
+        *damping.effects(places, covered),
         *friction.effects(places, covered),
         *friction_along_position.effects(places, covered),
         *flexible.effects(places, covered),
@@ -76,6 +77,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *torque_ripple.effects(places, covered),
         *magnetic_force.effects(places, covered),
         *actuator_nonlinearity.effects(places, covered),
+        *friction_of_load.effects(places, covered),
         *characteristic_after_lag.effects(places, covered),
         *input_crosstalk.effects(places),
         *linear_entries.effects(places),

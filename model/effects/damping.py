@@ -4,7 +4,9 @@ Drag of a plate in free air grows with the speed squared. The damping of a squee
 proportional to height^-3 (Reynolds' equation; Bao and Yang, *Squeeze film air damping in MEMS*,
 Sensors and Actuators A 136, 2007). Signature: a force that is zero at zero speed. Drag is an odd
 function of the speed and responds at odd lines of a multisine; a film also responds at even lines,
-and its force depends on the pose. Friction, unlike damping, does not grow with the speed.
+and its force depends on the pose. Friction, unlike damping, does not grow with the speed. The
+viscosity of grease falls with the shear rate (Cross, *Rheology of non-Newtonian fluids*, J. Colloid
+Sci. 20, 1965): such damping grows less than the speed, but levels off nowhere.
 """
 
 from __future__ import annotations
@@ -16,13 +18,17 @@ from itertools import combinations
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .operating_range import Extent
 from .point_force_conversion import forces, heights
 
 _SMALLEST_M = 1e-3
 """The end stops are at 0.9 mm: the film at the working point is at least as thick."""
+_SPEEDS = (0.05, 10.0)
+"""Range of the speed at which damping has halved, over the RMS speed: below it is dry friction, and
+above it is linear damping."""
 
 
-def effects(places: Places) -> list[Effect]:
+def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return linear damping of single DOFs, drag and squeeze films."""
     effect_class = "air_damping" if places.beam else "damping"
     found = []
@@ -57,7 +63,9 @@ def effects(places: Places) -> list[Effect]:
             )
         )
     found += _across(places, effect_class)
-    return found + (_of_plates(places) if places.beam else _with_positions(places))
+    if places.beam:
+        return found + _of_plates(places)
+    return found + _with_positions(places) + _falling(places, extent)
 
 
 def _across(places: Places, effect_class: str) -> list[Effect]:
@@ -157,6 +165,34 @@ def _with_positions(places: Places) -> list[Effect]:
         )
         for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True))
     ]
+
+
+def _falling(places: Places, extent: Extent) -> list[Effect]:
+    """Return damping that falls with the speed, of each DOF."""
+    found = []
+    for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+        low, high = (share * extent.speed[i] for share in _SPEEDS)
+        found.append(
+            Effect(
+                "damping.falling",
+                "Damping that falls with the speed",
+                "damping",
+                (dof,),
+                "force = -d q' / (1 + |q'| / v_0)",
+                (Quantity("d", f"{places.force_unit(i)} s/{unit}", 0.0),),
+                partial(_thinning, dof=i),
+                (Quantity("v_0", f"{unit}/s", low, high, log=True),),
+                tuple((share * extent.speed[i],) for share in (0.3, 1.0, 3.0)),
+                absorbed_by="the part linear in the speed: the declared damping",
+                told_apart_by="two amplitudes of excitation",
+            )
+        )
+    return found
+
+
+def _thinning(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    qd = signals.qd[:, dof]
+    return [on_dof(signals, dof, -qd / (1.0 + np.abs(qd) / shape[0]))]
 
 
 def _coupled(signals: Signals, _shape: Sequence[float], *, pair: tuple[int, int]) -> list[Term]:

@@ -32,7 +32,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         covered = replace(extent, reach=(reach,), speed=(speed,), middle=(middle,), joints=())
         own = [
             *stiffness.effects(alone, covered),
-            *damping.effects(alone),
+            *damping.effects(alone, covered),
             *friction.effects(alone, covered),
             *backlash.effects(alone, covered),
         ]

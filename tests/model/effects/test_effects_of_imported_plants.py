@@ -34,6 +34,7 @@ TS, LAG_S, MIDDLE, COMMAND = 1e-3, 2e-3, 0.4, -3.0
 FAMILIES = ("gravity.", "backlash.", "cogging.", "magnetic_force.", "actuator.")
 KEYS = (
     "damping.asymmetric",
+    "damping.falling",
     "friction.coulomb_asymmetric",
     "friction.stribeck_asymmetric",
     "gravity.sine",
@@ -190,6 +191,7 @@ def times_speed(q, v, F, a):
 
 
 LAWS: dict[str, Law] = {
+    "damping.falling": lambda q, v, F, d, v_0: -d * v * v_0 / (v_0 + np.abs(v)),
     "damping.asymmetric": lambda q, v, F, asymmetry: -asymmetry * np.sign(v) * v,
     "friction.coulomb_asymmetric": sliding,
     "friction.stribeck_asymmetric": stribeck,

@@ -87,6 +87,7 @@ def stribeck(_q: float, v: float, _u: float) -> float:
 
 
 CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]]] = {
+    "damping.falling": ((0.3,), (2.0,), lambda: lambda q, v, u: -0.3 * v / (1.0 + abs(v) / 2.0)),
     "damping.asymmetric": ((0.05,), (), lambda: lambda q, v, u: -0.05 * abs(v)),
     "friction.coulomb_asymmetric": (
         (0.3, 0.1), (0.5,),
@@ -136,6 +137,9 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
     "actuator.cubic": ((0.02,), (), lambda: lambda q, v, u: 0.02 * u**3),
     "actuator.asymmetric": ((0.1,), (), lambda: lambda q, v, u: 0.1 * abs(u)),
     "actuator.times_speed": ((-0.02,), (), lambda: lambda q, v, u: -0.02 * u * v),
+    "actuator.load_friction": (
+        (0.2,), (0.5,), lambda: lambda q, v, u: -0.2 * abs(u) * np.tanh(v / 0.5),
+    ),
     "actuator.quantised": ((1.0,), (1.5,), lambda: lambda q, v, u: 1.5 * np.round(u / 1.5) - u),
     # The model has no lag.
     "actuator.squared_after_lag": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * abs(u)),

@@ -1,0 +1,53 @@
+"""Dry friction that grows with the load: of a worm gear, a lead screw, a ball screw.
+
+The teeth of such a gear slide under the force that they pass on, and friction takes a share of it,
+against the motion (Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky, *Friction models and
+friction compensation*, Eur. J. Control 4, 1998). Signature: dry friction that is large while the
+command is large, and absent without a command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from .actuator_nonlinearity import speed_when_acting
+from .base import Effect, Places, Quantity, Signals, Term, on_coil
+from .friction import turning_speed
+from .operating_range import Extent
+
+_BEGINS = (0.03, 0.3)
+"""Start values of the speed within which it turns, over the RMS speed."""
+
+
+def effects(places: Places, extent: Extent) -> list[Effect]:
+    """Return the friction of the gear of every actuator; empty for the rig."""
+    if places.beam:
+        return []
+    found = []
+    for c in range(places.coils):
+        speed = float(np.abs(places.actuator_motion[c]) @ np.array(extent.speed))
+        if speed > 0.0:
+            found.append(
+                Effect(
+                    "actuator.load_friction",
+                    "Friction of a gear that grows with its load",
+                    "friction",
+                    (places.actuator(c),),
+                    "force = F - share |F| tanh(q'/v_s), q' the speed at the actuator",
+                    (Quantity("share", "1", 0.0, 1.0),),
+                    partial(_rubbing, coil=c),
+                    (turning_speed(places.motion_unit(c), speed),),
+                    tuple((begin * speed,) for begin in _BEGINS),
+                    absorbed_by="at a constant command: dry friction",
+                    told_apart_by="two amplitudes of the command",
+                )
+            )
+    return found
+
+
+def _rubbing(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
+    speed = speed_when_acting(signals, [coil])[:, 0]
+    return [on_coil(signals, coil, -np.abs(signals.coil[:, coil]) * np.tanh(speed / shape[0]))]

@@ -91,6 +91,12 @@ LAWS = {
     ),
     "rate_limit": Law(Kind.SLEWED, ("rate_limit",), True),
     "second_order": Law(Kind.SECOND_ORDER, ("actuator_lag",), True),
+    "thinning_grease": Law(
+        Kind.THINNING, ("damping",), effect="damping.falling", names=("d", "v_0")
+    ),
+    "loaded_gear": Law(
+        Kind.LOADED_GEAR, ("friction",), True, "actuator.load_friction", ("share", "v_s")
+    ),
 }  # fmt: skip
 """Effects by name."""
 
@@ -98,7 +104,7 @@ _ANYWHERE = (
     "none", "cubic_stiffness", "quadratic_stiffness", "drag", "stop", "loose_mass",
     "squared_actuator", "cubic_actuator", "force_with_speed", "dead_zone", "saturation",
     "quantised", "drift", "lag", "delay", "drag_15", "two_gains", "creep", "rate_limit",
-    "second_order",
+    "second_order", "thinning_grease", "loaded_gear",
 )  # fmt: skip
 _RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction")
 _LONG = ("cogging", "force_ripple")
@@ -280,6 +286,8 @@ def _numbers(
         Kind.SLEWED: (0.3 / (2.0 * np.pi * middle * u),),
         Kind.SECOND_ORDER: (plant.Ts_s, 0.2 + 2.0 * share),
         Kind.DELAY: (0.5 * plant.Ts_s,),
+        Kind.THINNING: (3.0 * tenth / w, w * (0.1 + share)),
+        Kind.LOADED_GEAR: (0.1, v),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))
 
@@ -288,11 +296,13 @@ def _most(kind: Kind, plant: Plant, plain: Motion, place: int) -> float:
     """Return the largest size of an effect that stays what it is."""
     u, dof = _command(plain, place).std(), min(place, plain.q.shape[1] - 1)
     seconds = len(plain.u) * plant.Ts_s
+    damping = float(_acting(plant, plain, place).std() / plain.w[:, dof].std())
     return {
         Kind.GAP: plain.q[:, dof].std(), Kind.DELAY: plant.Ts_s,
         Kind.QUANTISED: 1.5 * u, Kind.DEAD_ZONE: u, Kind.SATURATION: 1.2 / u,
         Kind.DRIFT: 0.8 / seconds, Kind.LAG: 30.0 * plant.Ts_s, Kind.RIPPLE: 0.8,
-        Kind.TWO_GAINS: 0.5, Kind.SECOND_ORDER: 10.0 * plant.Ts_s,
+        Kind.TWO_GAINS: 0.5, Kind.LOADED_GEAR: 0.6, Kind.SECOND_ORDER: 10.0 * plant.Ts_s,
+        Kind.THINNING: damping,
         Kind.SLEWED: 1.0 / (np.pi * _middle_hz(plant, plain, dof) * u),
     }.get(kind, np.inf)  # fmt: skip
 

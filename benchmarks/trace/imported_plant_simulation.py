@@ -52,6 +52,8 @@ class Kind(IntEnum):
     CREEP = 26  # -s (q - p), p follows q with the time constant
     SLEWED = 27  # F follows u by at most 1 / s in a second
     SECOND_ORDER = 28  # F'' + 2 damping w F' + w^2 F = w^2 u, w = 1 / s
+    THINNING = 29  # -s w / (1 + |w| / v)
+    LOADED_GEAR = 30  # F = u - s |u| tanh(w / v)
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,9 @@ def simulated(plant: Linear, v: Array, rng: np.random.Generator, *effects: Actin
     return Motion(*_integrated(v, noise, plant.Ts_s, plant.steps, arrays, kinds, places, four))
 
 
-def _on_dof(kind: int, s: Array, q: float, w: float) -> float:  # noqa: PLR0911 - numba has no match
+def _on_dof(  # noqa: PLR0911, PLR0912 - numba has no match
+    kind: int, s: Array, q: float, w: float
+) -> float:
     if kind == Kind.COULOMB:
         return -s[0] * np.tanh(w / s[1])
     if kind == Kind.STRIBECK:
@@ -130,6 +134,8 @@ def _on_dof(kind: int, s: Array, q: float, w: float) -> float:  # noqa: PLR0911 
         return s[0] * np.sin(2.0 * np.pi * q / s[1] + s[2])
     if kind == Kind.RUBBED_UNEVENLY:
         return -s[0] * (1.0 + s[2] * np.sin(q / s[3])) * np.tanh(w / s[1])
+    if kind == Kind.THINNING:
+        return -s[0] * w / (1.0 + np.abs(w) / s[1])
     if kind == Kind.DRAG_15:
         return -s[0] * abs(w) ** 0.5 * w
     return 0.0
@@ -142,6 +148,8 @@ def _on_input(  # noqa: PLR0911 - as above
         return u + s[0] * u * abs(u)
     if kind == Kind.CUBED:
         return u + s[0] * u**3
+    if kind == Kind.LOADED_GEAR:
+        return u - s[0] * np.abs(u) * np.tanh(w / s[1])
     if kind == Kind.WITH_SPEED:
         return u * (1.0 + s[0] * w)
     if kind == Kind.DEAD_ZONE:
@@ -206,7 +214,7 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
                     elif kind == Kind.DELAY:
                         if step < round(s[0] / h):
                             F[place] = before[place]
-                    elif kind >= Kind.SQUARED:
+                    elif kind >= Kind.SQUARED and kind != Kind.THINNING:
                         at = min(place, n - 1)
                         t_s = (row + (step + 0.5) / steps) * Ts_s
                         F[place] = _input_force(kind, s, F[place], q_mid[at], w_mid[at], t_s)

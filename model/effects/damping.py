@@ -23,7 +23,7 @@ from .point_force_conversion import forces, heights
 
 _SMALLEST_M = 1e-3
 """The end stops are at 0.9 mm: the film at the working point is at least as thick."""
-_SPEEDS = (0.05, 10.0)
+_SPEEDS = (0.3, 10.0)
 """Range of the speed at which damping has halved, over the RMS speed: below it is dry friction, and
 above it is linear damping."""
 
@@ -181,8 +181,8 @@ def _falling(places: Places, extent: Extent) -> list[Effect]:
                 "force = -d q' / (1 + |q'| / v_0)",
                 (Quantity("d", f"{places.force_unit(i)} s/{unit}", 0.0),),
                 partial(_thinning, dof=i),
-                (Quantity("v_0", f"{unit}/s", low, high, log=True),),
-                tuple((share * extent.speed[i],) for share in (0.3, 1.0, 3.0)),
+                (Quantity("v_0", f"{unit}/s", low, high, log=True, another_below=True),),
+                tuple((share * extent.speed[i],) for share in (0.5, 1.0, 3.0)),
                 absorbed_by="the part linear in the speed: the declared damping",
                 told_apart_by="two amplitudes of excitation",
             )

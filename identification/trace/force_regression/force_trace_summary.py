@@ -134,13 +134,14 @@ class FoundLaw:
 
     @property
     def at_limit(self) -> list[str]:
-        """Its shape's numbers at the upper limit of their range, where the law does not end, if the
-        records tell them from zero."""
+        """Its shape's numbers at a limit of their range where the law does not end, if the records
+        tell them from zero."""
         found = []
         for q, value in zip(self.placed.effect.shape, self.placed.shape, strict=True):
             se = self.parameters[q.name].se
             told = se is not None and self.surely * se < value
-            if told and value >= q.high and not q.ends:
+            above = value >= q.high and not q.ends
+            if told and (above or (q.another_below and value <= q.low)):
                 found.append(q.name)
         return found
 

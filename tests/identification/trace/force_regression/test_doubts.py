@@ -80,6 +80,15 @@ def test_a_law_at_the_limit_of_its_shape_is_in_doubt(
     assert any("damping ended at the limit" in d for d in law.doubts) == at_limit
 
 
+def test_damping_that_falls_already_at_the_least_speed_may_be_friction() -> None:
+    places = imported_places(parse_text(MODEL, ModelConfig, "arm"))
+    (effect,) = (e for e in all_effects(places) if e.key == "damping.falling")
+    low = effect.shape[0].low
+    rated = Rated(Placed(effect, (low,), (0.1,)), None, 0.1)  # type: ignore[arg-type]
+    numbers = {"v_0": EffectParameter(value=low, unit="rad/s", se=1e-3 * low)}
+    assert any("v_0 ended at the limit" in d for d in found(rated, numbers).doubts)
+
+
 @pytest.mark.parametrize(
     ("depth", "se", "floors", "doubtful"),
     [

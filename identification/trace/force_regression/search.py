@@ -25,7 +25,7 @@ from .training_records import Training, missing_share
 
 Progress = Callable[[str, float], None]
 
-_FRICTION, _PLAY = "friction", "backlash.play"
+_FRICTION, _ALSO = "friction", ("backlash.play", "damping.falling")
 
 
 @dataclass(frozen=True)
@@ -295,9 +295,10 @@ def _exclude(one: Effect, other: Effect) -> bool:
 def _rubs(effect: Effect) -> bool:
     """Return whether an effect is a dry friction, of which a DOF has one law.
 
-    A spring that is dragged along is one too: the force of a Maxwell-slip element.
+    A spring that is dragged along is one too: the force of a Maxwell-slip element. So is a damping
+    that levels off, of which friction would be a part.
     """
-    return effect.effect_class == _FRICTION or effect.key == _PLAY
+    return effect.effect_class == _FRICTION or effect.key in _ALSO
 
 
 def _without_idle(state: _State, training: Training, options: SearchOptions) -> _State:

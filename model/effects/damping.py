@@ -6,7 +6,7 @@ Sensors and Actuators A 136, 2007). Signature: a force that is zero at zero spee
 function of the speed and responds at odd lines of a multisine; a film also responds at even lines,
 and its force depends on the pose. Friction, unlike damping, does not grow with the speed. The
 viscosity of grease falls with the shear rate (Cross, *Rheology of non-Newtonian fluids*, J. Colloid
-Sci. 20, 1965): such damping grows less than the speed, but levels off nowhere.
+Sci. 20, 1965): such damping grows less than the speed, and levels off at high speeds only.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ above it is linear damping."""
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return linear damping of single DOFs, drag and squeeze films."""
+    """Return linear damping of single DOFs, drag, thinning grease and squeeze films."""
     effect_class = "air_damping" if places.beam else "damping"
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):

@@ -189,8 +189,7 @@ def _in_best_order(
     placed = orders((*beside.placed, rated.placed), table, beside.model.lagging)
     begins = [replace(beside, placed=order) for order in placed]
     if plain is not None:
-        freed = [replace(p, plain=False) for p in plain.placed]
-        begins.append(replace(plain, placed=tuple(freed)))
+        begins.append(plain.freed())
     return min((training.fit(begin, least) for begin in begins), key=training.cost)
 
 

@@ -60,6 +60,10 @@ class ForceModel:
         named = dict(zip(self.parameters.names, values.tolist(), strict=True))
         return replace(self, model=self.model.with_values(named))
 
+    def freed(self) -> ForceModel:
+        """Return the model with no effect held to its textbook form."""
+        return replace(self, placed=tuple(replace(p, plain=False) for p in self.placed))
+
 
 @dataclass(frozen=True)
 class ForceRecord:

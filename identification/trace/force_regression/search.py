@@ -54,7 +54,7 @@ def search(
     state = _State(point, {}, ())
     if begun is not None:
         rated = {r.placed.effect.identity: r for r in begun.rated}
-        state = _State(training.fit(begun.point), rated, ())
+        state = _State(training.fit(begun.point.freed()), rated, ())
         if len(rated) == 1:  # of several, rivals are compared at the end
             state = _against_rivals(state, list(rated), named, training, options)
     state, nearest = _grown(state, named, training, options, progress)

@@ -78,9 +78,8 @@ def _surely_another(point: ForceModel, training: Training, options: SearchOption
         return False
     freedom = textbook.freedom
     unit = np.eye(len(freedom))
-    gradients = (
-        unit - freedom @ unit[np.argmax(freedom, axis=0)]
-    )  # of the way from its textbook form
+    # Of the way from its textbook form, by its values.
+    gradients = unit - freedom @ unit[np.argmax(freedom, axis=0)]
     away = np.abs(np.subtract(free.values, textbook.values))
     covariance = Influences.of(point, training).covariance()[-len(away) :, -len(away) :]
     errors = np.sqrt(np.diag(gradients @ covariance @ gradients.T))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from .sensor_white_noise import white_noise
 
@@ -38,8 +38,9 @@ def stuck_rows(readings: Array, shape: Array) -> Mask | None:
     expected = readings @ np.stack([_from_others(shape, s) for s in range(S)], axis=1)
     sd = white_noise(readings)
     count = np.zeros((len(readings) + 1, S), int)
-    for rows, still in _STILL.items():
-        found = (_range(readings, rows) <= still * sd) & (_range(expected, rows) >= _MOVES * sd)
+    own, others = _ranges(readings), _ranges(expected)
+    for (rows, still), reads, moves in zip(_STILL.items(), own, others, strict=True):
+        found = (reads <= still * sd) & (moves >= _MOVES * sd)
         count[1 : 1 + len(found)] += found
         count[rows : rows + len(found)] -= found
     stands = np.cumsum(count[:-1], axis=0) > 0
@@ -50,11 +51,17 @@ def stuck_rows(readings: Array, shape: Array) -> Mask | None:
     return stands if stands.any() else None
 
 
-def _range(values: Array, rows: int) -> Array:
-    """Return the range of values (N, S) over each window of `rows` rows."""
-    from_row = slice(rows // 2, rows // 2 + len(values) - rows + 1)
-    highest, lowest = maximum_filter1d(values, rows, axis=0), minimum_filter1d(values, rows, axis=0)
-    return np.asarray((highest - lowest)[from_row])
+def _ranges(values: Array) -> Iterator[Array]:
+    """Yield the range of values (N, S) over each window of as many rows as _STILL has."""
+    highest = lowest = values
+    length = 1
+    for rows in _STILL:
+        while length < rows:  # a window is what two shorter ones cover
+            step = min(length, rows - length)
+            highest = np.maximum(highest[:-step], highest[step:])
+            lowest = np.minimum(lowest[:-step], lowest[step:])
+            length += step
+        yield highest - lowest
 
 
 def _from_others(shape: Array, sensor: int, without: int = -1) -> Array:

@@ -33,7 +33,7 @@ from .records.searched_effects import searched_effects
 from .records.sensor_and_amplifier_noise import disturbance, require_noise
 from .residual.free_run_error import RecordError, pooled, record_error
 from .residual.random_vibration import RandomVibration, force_spectrum, shaking
-from .search.gauss_newton import NEARLY, Candidate, refine
+from .search.gauss_newton import NEARLY, Candidate, Part, refine
 from .search.nonrigid_screening import shown_beyond
 from .search.regression import FOLDS
 from .search.search import Found, search
@@ -228,7 +228,8 @@ def _begin(
         require_timeless(declared_effects, places, covered, overlapping)
     progress("fitting the declared model", 0.05)
     parts = _parts(train)
-    point = _start(config, parts, list(records.values()), covered)
+    begin_with = _Logged(workers, sources(parts), (), tuple(parts))
+    point = _start(config, begin_with, list(records.values()), covered)
     logged = _Logged(workers, sources(train), sources(held), tuple(parts))
     names = tuple(r.name for r in train), tuple(r.name for r in held)
     del records, train, held  # the workers read the logs themselves
@@ -268,16 +269,23 @@ class _Logged:
         self,
         point: WorkingPoint,
         candidates: Sequence[Candidate] = (),
-        only: Sequence[int] | None = None,
+        only: Sequence[Part] | None = None,
     ) -> list[Linearised]:
-        chosen = self.fitted if only is None else [self.fitted[i] for i in only]
-        # Few records would keep few workers busy: each is asked about parts of the candidates.
-        parts = _parts_of(candidates, _AT_A_TIME if only is not None else len(candidates))
-        tasks = [partial(linearise, point, candidates=part) for _ in chosen for part in parts]
-        answers = self.workers.map(tasks, [source for source in chosen for _ in parts])
-        each = [answers[i : i + len(parts)] for i in range(0, len(answers), len(parts))]
+        if only is None:
+            whole = partial(linearise, point, candidates=tuple(candidates))
+            return self.workers.map(whole, self.fitted)
+        # Few parts would keep few workers busy: each is asked about some of the candidates.
+        some = _split(candidates, _AT_A_TIME)
+        tasks = [
+            partial(linearise, point, candidates=these, blocks=(part.first, part.last))
+            for part in only
+            for these in some
+        ]
+        sources = [self.fitted[part.record] for part in only for _ in some]
+        answers = self.workers.map(tasks, sources)
+        each = [answers[i : i + len(some)] for i in range(0, len(answers), len(some))]
         return [
-            replace(own[0], beside=tuple(one for part in own for one in part.beside))
+            replace(own[0], beside=tuple(one for these in own for one in these.beside))
             for own in each
         ]
 
@@ -289,26 +297,9 @@ class _Logged:
         return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), self.kept)
 
 
-def _parts_of(candidates: Sequence[Candidate], most: int) -> list[tuple[Candidate, ...]]:
-    """Return the candidates in parts of at most `most`; one part if there are none."""
-    step = max(most, 1)
-    return [tuple(candidates[i : i + step]) for i in range(0, max(len(candidates), 1), step)]
-
-
-@dataclass(frozen=True)
-class _Loaded:
-    """Records in memory, to fit to."""
-
-    records: Sequence[TraceRecord]
-
-    def train(
-        self,
-        point: WorkingPoint,
-        candidates: Sequence[Candidate] = (),
-        only: Sequence[int] | None = None,
-    ) -> list[Linearised]:
-        chosen = self.records if only is None else [self.records[i] for i in only]
-        return [linearise(point, record, candidates) for record in chosen]
+def _split(candidates: Sequence[Candidate], most: int) -> list[tuple[Candidate, ...]]:
+    """Return the candidates in groups of at most `most`; one group if there are none."""
+    return [tuple(candidates[i : i + most]) for i in range(0, max(len(candidates), 1), most)]
 
 
 def _require_known_loops(records: Sequence[TraceRecord]) -> None:
@@ -339,27 +330,27 @@ def _require_enough(train: Sequence[TraceRecord]) -> None:
 
 def _start(
     config: ModelConfig,
-    parts: Sequence[TraceRecord],
+    logged: _Logged,
     records: Sequence[TraceRecord],
     covered: Extent,
 ) -> WorkingPoint:
-    """Return an initial working point, fitted to parts of some records.
+    """Return an initial working point, fitted to the parts of some records in `logged`.
 
     With large force noise the filter follows the records for any parameters, and the errors are
     nearly linear in them. So the force noise starts large and is reduced in steps.
     """
     parameters, model = free_parameters(config), declared_model(config)
     if any(r.still and r.experiment.loop is not None for r in records):
-        noise = disturbance(model, records, first_noise([r.experiment for r in parts]))
+        noise = disturbance(model, records, first_noise([r.experiment for r in logged.parts]))
     else:
-        fit = fit_model(config, [r.experiment for r in parts])
+        fit = fit_model(config, [r.experiment for r in logged.parts])
         model, noise = fit.model, disturbance(fit.model, records, fit.noise)
     placed = placed_effects(config.effects, records[0].places, covered)
     point = WorkingPoint(model, parameters, placed, noise, config.input)
 
     for louder in _LOUDER if noise.measured else ():
         loud = noise.noise.scaled(force=louder)
-        at, _ = refine(replace(point, disturbance=replace(noise, noise=loud)), _Loaded(parts))
+        at, _ = refine(replace(point, disturbance=replace(noise, noise=loud)), logged)
         point = replace(at, disturbance=noise)
     if noise.measured:
         noise = disturbance(point.model, records, noise.noise)

@@ -31,17 +31,24 @@ Candidate = tuple[Effect, tuple[float, ...]]
 _DIFFERENCE_STEP = 1e-5
 _MAX_NUMBERS = 50_000_000
 """Numbers in the candidates' columns at one time, 0.4 GB: those of 100 s at 1 kHz."""
+_ROWS = 256
 _ROUNDING = 1e-9
 """Residual of a column, over its size, below which it is rounding."""
 
 
 def linearise(
-    point: WorkingPoint, record: TraceRecord, candidates: Sequence[Candidate]
+    point: WorkingPoint,
+    record: TraceRecord,
+    candidates: Sequence[Candidate],
+    blocks: tuple[int, int] | None = None,
 ) -> Linearised:
     """Return the Gram matrices of a record; see Linearised for the order of the columns.
 
-    For long records, candidates are processed in batches, to limit memory.
+    blocks: first and last (exclusive) of its blocks, if not all. For long records, candidates are
+    processed in batches, to limit memory.
     """
+    if blocks is not None:
+        record = record.part(*_rows_of(record, *blocks))
     here, bank, own, basis = _prepared(point, record)
     parts = [
         _with_candidates(point, here, bank, own, basis, some)
@@ -113,7 +120,7 @@ def _with_candidates(
     drive_n = drive_errors(here)
     shown_drive.append(None if drive_n is None else thinned(drive_n, here.every))
     flat = pose.reshape(-1, pose.shape[2])
-    flat -= basis @ (basis.T @ flat)
+    _project_out(flat, basis)
     _project_out_memory(flat[:, own.shape[2] + placed : -1], here, bank, basis, candidates)
     seen = [j for j, column in enumerate(shown) if column is not None]
     beyond = np.stack([column for column in shown if column is not None], axis=2)
@@ -152,6 +159,17 @@ def _unknown_basis(point: WorkingPoint, here: Along, bank: FilterBank) -> Array:
     return _extended(basis, bank.columns(remembered, len(remembered))) if remembered else basis
 
 
+def _project_out(columns: Array, basis: Array) -> None:
+    """Project an orthonormal basis out of many columns, in place.
+
+    Some rows at a time, as many as the processor's cache holds.
+    """
+    inner = basis.T @ columns
+    for first in range(0, len(columns), _ROWS):
+        some = slice(first, first + _ROWS)
+        columns[some] -= basis[some] @ inner
+
+
 def _project_out_memory(
     columns: Array, here: Along, bank: FilterBank, basis: Array, candidates: Sequence[Candidate]
 ) -> None:
@@ -178,6 +196,14 @@ def _extended(basis: Array, columns: Array) -> Array:
         flat = flat - basis @ (basis.T @ flat)
     left, size, _ = np.linalg.svd(flat, full_matrices=False)
     return np.hstack([basis, left[:, size > _ROUNDING]])
+
+
+def _rows_of(record: TraceRecord, first: int, last: int) -> tuple[int, int]:
+    """Return the rows of blocks first to last (exclusive); the last block has all that are left."""
+    every = thinning(record.experiment.Ts_s)
+    edges = block_edges(record.rows // every, every * record.experiment.Ts_s)
+    end = record.rows if last == len(edges) - 1 else int(edges[last]) * every
+    return int(edges[first]) * every, end
 
 
 def blocks_in(record: TraceRecord) -> int:

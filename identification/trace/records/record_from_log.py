@@ -47,6 +47,8 @@ _WITHOUT = {
 _SILENT = 1e-9
 _PREPARED = 6
 """Memory of what is prepared for a point over that of the record, along a moving beam, measured."""
+_MOST_PARTS = 2
+"""Parts of a record that are kept."""
 IMPORTED = "imported"
 """Kind of a record from other data than the rig's."""
 SHORTEST_S = 1.0
@@ -84,6 +86,10 @@ class TraceRecord:
     """Cached filters along a moving schedule, by noise: computing them is slow."""
     prepared: dict[bytes, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     """What linearise prepared for its last point, which it is often asked of again."""
+    parts: dict[tuple[int, int], TraceRecord] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    """The parts that were asked about last, with what is prepared of them."""
 
     @property
     def name(self) -> str:
@@ -109,6 +115,15 @@ class TraceRecord:
         if e.loop is not None:
             arrays += [e.loop.v, e.loop.reference, e.loop.feedforward, e.loop.seen]
         return (1 + _PREPARED) * sum(a.nbytes for a in arrays)
+
+    def part(self, start: int, stop: int) -> TraceRecord:
+        """Return the same as `cut`, and keep the result for the next time."""
+        rows = start, stop
+        if rows not in self.parts:
+            if len(self.parts) >= _MOST_PARTS:
+                self.parts.clear()
+            self.parts[rows] = self.cut(start, stop)
+        return self.parts[rows]
 
     def cut(self, start: int, stop: int) -> TraceRecord:
         """Return rows start to stop (exclusive)."""

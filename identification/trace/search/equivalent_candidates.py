@@ -17,14 +17,14 @@ from ..linearised.linearisation_point import WorkingPoint
 from ..search_options import SearchOptions
 from .backward_elimination import columns_of, removal_costs, without_effect
 from .candidate_screening import regressed, told_apart
-from .gauss_newton import Candidate, Fitted, gather
+from .gauss_newton import Candidate, Fitted, Part, gather
 from .prescreening import most_telling
 from .regression import gains_beside, steadied
 from .tested_candidate import Tried
 
 _HALF = 0.5
-"""Who explains less than this share of what the effect does, in the records that tell most of it,
-explains no more of it in all."""
+"""Who explains less than this share of what the effect does, in the parts of records that tell most
+of it, explains no more of it in all."""
 
 
 def equivalents(
@@ -44,7 +44,7 @@ def equivalents(
         return {}
     base = gather(point, records.train(point))
     costs = removal_costs(point, base)
-    only = most_telling(base, np.sum(costs, axis=0))
+    only = most_telling(base, np.array(costs), options.least_squares)
     if only:
         near: set[int] = set()
         for own, tried in _instead(point, asked, records, only):
@@ -68,7 +68,7 @@ def _instead(
     point: WorkingPoint,
     asked: Sequence[Candidate],
     records: Fitted,
-    only: Sequence[int] | None,
+    only: Sequence[Part] | None,
 ) -> Iterator[tuple[Tried, list[Tried]]]:
     """Yield each effect of the point with its gain, and the candidates in its place with theirs.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,14 @@ _SHORT = 1.0
 """Damping from which on a step is short."""
 
 
+class Part(NamedTuple):
+    """Blocks first to last (exclusive) of a training record."""
+
+    record: int
+    first: int
+    last: int
+
+
 class Fitted(Protocol):
     """Training records that can be linearised around a working point."""
 
@@ -41,9 +49,9 @@ class Fitted(Protocol):
         self,
         point: WorkingPoint,
         candidates: Sequence[Candidate] = (),
-        only: Sequence[int] | None = None,
+        only: Sequence[Part] | None = None,
     ) -> list[Linearised]:
-        """Return the training records linearised, all or some of them by number."""
+        """Return the training records linearised, all or parts of them."""
 
 
 def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[WorkingPoint, float]:

@@ -1,8 +1,8 @@
-"""Shortlist the candidates by the records that have most to explain, before all records are asked.
+"""Shortlist the candidates by parts of records that have most to explain, before all are asked.
 
-What a candidate does in a record costs as much as the record is long. In the records with the
-largest errors for their length, those that explain most of all records are among the best already;
-which of them is best, all records tell.
+What a candidate does in a record costs as much as the record is long. In the parts with the largest
+errors, those that explain most of all records are among the best already; which of them is best,
+all records tell. Parts are as short as tell an effect that matters from chance.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from ..linearised.linearisation_point import WorkingPoint
 from ..search_options import SearchOptions
-from .gauss_newton import Candidate, Fitted, gather
+from .gauss_newton import Candidate, Fitted, Part, gather
 from .regression import FOLDS, ColumnEvidence, gains
 from .tested_candidate import is_internal
 
 Array = NDArray[np.float64]
 
 _PART = 1.0 / 3.0
-"""Of the time of all records, as much is asked first."""
+"""Of the time of all records, as much is asked first at most."""
 _SHAPE = 0.5
 """Shapes that explain less than this share of what the best one of an effect does are left out."""
 
@@ -34,22 +34,27 @@ def shortlisted(
 ) -> list[Candidate]:
     """Return the candidates that explain most of some records, in their order.
 
-    All are returned if they are few, or if some records have too few blocks. What acts on the
-    drives only is among them: what these measure is no error of the platform, by which the records
-    are chosen.
+    All are returned if they are few, or if a part of them has too few blocks. What acts on the
+    drives only is among them: what these measure is no error of the platform, by which parts are
+    chosen.
     """
     if len({e.identity for e, _ in candidates}) <= options.shortlisted:
         return list(candidates)
     chosen = [c for c in candidates if not is_internal(c[0])]
-    best = {id(c) for c in _best(point, chosen, records, options.shortlisted)}
+    best = {id(c) for c in _best(point, chosen, records, options)}
     return [c for c in candidates if is_internal(c[0]) or id(c) in best]
 
 
 def _best(
-    point: WorkingPoint, candidates: Sequence[Candidate], records: Fitted, count: int
+    point: WorkingPoint,
+    candidates: Sequence[Candidate],
+    records: Fitted,
+    options: SearchOptions,
 ) -> list[Candidate]:
     train = gather(point, records.train(point))
-    only = most_telling(train, train.gram[:, -1, -1] - train.count)
+    left = train.gram[:, -1, -1] - train.count
+    # What matters takes a share of these that is no chance.
+    only = most_telling(train, left[None], options.least_squares / options.least_gain)
     if not only:
         return list(candidates)
     some = gather(point, records.train(point, candidates, only))
@@ -59,7 +64,7 @@ def _best(
     most: dict[str, float] = {}
     for i in finite:
         most.setdefault(candidates[i][0].identity, gained[i])
-    best = dict(list(most.items())[:count])
+    best = dict(list(most.items())[: options.shortlisted])
     return [
         c
         for c, gain in zip(candidates, gained, strict=True)
@@ -67,15 +72,40 @@ def _best(
     ]
 
 
-def most_telling(train: ColumnEvidence, squares: Array) -> list[int]:
-    """Return the numbers of the records with most squared errors (B,) of blocks for their length.
+def most_telling(train: ColumnEvidence, squares: Array, needed: float) -> list[Part]:
+    """Return the part of every record with most of some squared errors (k, blocks).
 
-    They are a third of the time; none if these are too few to tell.
+    Every record has part, as each tells of another pose. The parts are as short as hold `needed` of
+    each of the k together, and can be cross-validated. None are returned where a third of the time
+    has too few blocks for that.
     """
-    count = np.bincount(train.record, train.count)
-    total = np.bincount(train.record, squares)
-    order = np.argsort(-total / np.maximum(count, 1.0))
-    enough = int(np.searchsorted(np.cumsum(count[order]), _PART * count.sum())) + 1
-    chosen = sorted(order[:enough].tolist())
-    blocks = int(np.isin(train.record, chosen).sum())
-    return chosen if len(chosen) < len(count) and blocks >= 2 * FOLDS else []
+    sums = np.maximum(np.abs(squares).sum(axis=1), np.finfo(float).tiny)
+    worth = (squares / sums[:, None]).sum(axis=0)
+    blocks = np.bincount(train.record)
+    parts: list[Part] = []
+    for length in range(1, int(blocks.max()) + 1):
+        longer = [
+            _best_part(number, worth[train.record == number], length)
+            for number in range(len(blocks))
+        ]
+        inside = np.concatenate([_is_in(p, n) for p, n in zip(longer, blocks, strict=True)])
+        if train.count[inside].sum() > _PART * train.count.sum():
+            break
+        parts = longer
+        if inside.sum() >= 2 * FOLDS and np.all(squares[:, inside].sum(axis=1) >= needed):
+            return parts
+    return parts if sum(p.last - p.first for p in parts) >= 2 * FOLDS else []
+
+
+def _best_part(number: int, worth: Array, length: int) -> Part:
+    """Return the blocks of a record, as many as `length` or all, that are worth most together."""
+    length = min(length, len(worth))
+    total = np.append(0.0, np.cumsum(worth))
+    first = int(np.argmax(total[length:] - total[: len(total) - length]))
+    return Part(number, first, first + length)
+
+
+def _is_in(part: Part, blocks: int) -> NDArray[np.bool_]:
+    """Return which blocks of its record (blocks,) are in a part."""
+    number = np.arange(blocks)
+    return (number >= part.first) & (number < part.last)

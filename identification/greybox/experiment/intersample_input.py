@@ -117,8 +117,16 @@ def lagged_input(u: Array, step: HeldStep) -> Array:
 
 def _around_jump(u: Array, step: HeldStep) -> tuple[Array, Array]:
     """Return the input in each period before and after the jump within it, both (N, p)."""
-    rows = np.arange(len(u))
-    return u[np.maximum(rows - step.whole - 1, 0)], u[np.maximum(rows - step.whole, 0)]
+    return shifted(u, step.whole + 1), shifted(u, step.whole)
+
+
+def shifted(u: Array, rows: int) -> Array:
+    """Return an input (N, p) as many rows later, constant before the record."""
+    if rows == 0:
+        return u
+    later = np.empty_like(u)
+    later[:rows], later[rows:] = u[0], u[:-rows]
+    return later
 
 
 def _ramped(u: Array, Ts_s: float, order: int, delay_s: float, lag_s: float) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,15 +87,16 @@ def grams(
         places[channel.columns] = np.arange(len(channel.columns))
         few = [(i, int(places[j])) for i, j in enumerate(own) if places[j] >= 0]
         rows, at = (list(part) for part in zip(*few, strict=True))
-        groups = _groups_in(places, starts)
+        groups, of_own = _groups_in(places, starts), np.ix_(rows, rows)
+        of_all = np.ix_(rows, channel.columns)
         for b, (first, last) in enumerate(pairwise(edges.tolist())):
             part = channel.errors[first:last].reshape(-1, len(channel.columns))
             with_own = part[:, at].T @ part
-            gram[b][np.ix_(rows, rows)] += with_own[:, at]
-            cross[b][np.ix_(rows, channel.columns)] += with_own
+            gram[b][of_own] += with_own[:, at]
+            cross[b][of_all] += with_own
             for g, members, columns in groups:
                 some = part[:, columns]
-                inner[g][b][np.ix_(members, members)] += some.T @ some
+                inner[g][b][members] += some.T @ some
     gram /= size[own] * size[own][:, None]
     cross /= size[own][:, None] * size
     beside = []
@@ -134,14 +136,15 @@ def _sizes(channels: Sequence[ResidualChannel], total: int) -> Array:
 
 def _groups_in(
     places: NDArray[np.int_], starts: NDArray[np.int_]
-) -> list[tuple[int, list[int], slice | list[int]]]:
-    """Return the candidates in a channel: number, members, and their columns in it."""
-    found: list[tuple[int, list[int], slice | list[int]]] = []
+) -> list[tuple[int, tuple[Any, ...], slice | list[int]]]:
+    """Return the candidates in a channel: number, place in their Gram matrix, and columns."""
+    found: list[tuple[int, tuple[Any, ...], slice | list[int]]] = []
     for g, (first, last) in enumerate(pairwise(starts.tolist())):
         there = [(m, int(places[first + m])) for m in range(last - first) if places[first + m] >= 0]
         if not there:
             continue
         members, columns = [m for m, _ in there], [c for _, c in there]
         side_by_side = columns == list(range(columns[0], columns[0] + len(columns)))
-        found.append((g, members, slice(columns[0], columns[-1] + 1) if side_by_side else columns))
+        whose = slice(columns[0], columns[-1] + 1) if side_by_side else columns
+        found.append((g, np.ix_(members, members), whose))
     return found

@@ -16,11 +16,17 @@ from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Term
-from ...greybox.experiment.intersample_input import Hold, held_step, lagged_input, moments
+from ...greybox.experiment.intersample_input import (
+    Hold,
+    held_step,
+    lagged_input,
+    moments,
+    shifted,
+)
 from ...greybox.prediction.discretisation import Motion
 from ...greybox.prediction.noise_model import Filter
 from ..records.record_from_log import TraceRecord
-from .intersample_moments import around, force_moments, polynomial_weights
+from .intersample_moments import around, force_moments, nonzero_columns, polynomial_weights
 
 Array = NDArray[np.float64]
 
@@ -172,19 +178,19 @@ class FilterBank:
         e, values = self.record.experiment, {**self.model.values, **self.model.scheduling}
         delay_s = max(e.delay_cycles * e.Ts_s + self.model.delay(values) + extra_s, 0.0)
         lag_s = max(self.model.lag(values) + extra_lag_s, 0.0)
-        powers = self._input_powers if by is None else self.powers
+        acting = nonzero_columns(held)
+        held = held[:, acting]
+        powers = self._input_powers[:, :, acting] if by is None else self.powers
         order = len(powers)
+        if by is not None:
+            by = by[:, :, acting]
 
         def pushed(commands: Array) -> Array:
             return commands if by is None else np.einsum("...ip,...p->...i", by, commands)
 
         if self.hold == "zoh":
             step = held_step(e.Ts_s, order, delay_s, lag_s)
-            rows = np.arange(len(held))
-            old, new = (
-                held[np.maximum(rows - step.whole - 1, 0)],
-                held[np.maximum(rows - step.whole, 0)],
-            )
+            old, new = shifted(held, step.whole + 1), shifted(held, step.whole)
             G_old, G_new, G_lag = (
                 np.tensordot(weights, powers, 1)
                 for weights in (step.from_old, step.from_new, step.from_lag)
@@ -209,11 +215,14 @@ class FilterBank:
 
     def force_forcing(self, force: Array) -> Array:
         """Return the change of the state (N, 2n) by generalised forces (N, n) in each period."""
+        acting = nonzero_columns(force)
+        force = force[:, acting]
         if self.hold == "band_limited":
             order = len(self.motion.scale) - 1
             m = force_moments(force, self.motion.Ts_s, order, self.hold)
-            return self._along(np.einsum("njp,jip->ni", m, self.powers, optimize=True))
-        taps = self.smooth.swapaxes(1, 2).reshape(-1, self.smooth.shape[1])
+            powers = self.powers[:, :, acting]
+            return self._along(np.einsum("njp,jip->ni", m, powers, optimize=True))
+        taps = self.smooth[:, :, acting].swapaxes(1, 2).reshape(-1, self.smooth.shape[1])
         return self._along(around(force) @ taps)
 
     def _along(self, forcing: Array) -> Array:

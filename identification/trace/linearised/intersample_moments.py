@@ -30,6 +30,11 @@ def force_moments(force: Array, Ts_s: float, order: int, hold: Hold) -> Array:
     return (around(force) @ np.kron(weights, np.eye(n)).T).reshape(rows, order, n)
 
 
+def nonzero_columns(values: Array) -> list[int]:
+    """Return the columns that are not zero: of most effects one, as they act at one place."""
+    return [i for i, one in enumerate(values.T) if one.any()]
+
+
 def around(force: Array) -> Array:
     """Return the six rows around each period (N, 6 n) of a force (N, n), earliest first.
 

@@ -15,7 +15,7 @@ from ....model.effects.combined_effects import together, with_sensor_arms
 from ...greybox.experiment.experiment_from_log import Experiment
 from ...greybox.experiment.intersample_input import Hold
 from ...greybox.free_parameters import FreeParameters
-from ...greybox.prediction.discretisation import Motion, motion
+from ...greybox.prediction.discretisation import Motion, input_moments, motion
 from ...greybox.prediction.noise_model import Filter, kalman_filter
 from ...greybox.prediction.prediction_errors import predict_along, settled
 from ...records.record import IdentificationError
@@ -23,7 +23,7 @@ from ..records.effect_signals import measured_signals
 from ..records.record_from_log import TraceRecord
 from ..records.sensor_and_amplifier_noise import Disturbance
 from .innovations_filter_bank import thinned
-from .intersample_moments import force_moments
+from .intersample_moments import force_moments, nonzero_columns
 
 Array = NDArray[np.float64]
 
@@ -148,14 +148,18 @@ def corrected_experiment(
     e = record.experiment
     if added.gap is not None:
         e = replace(e, y=e.y - added.gap @ record.places.decoupling.T)
+    order, B, inputs = at.inputs.shape[1], [at.B], [at.inputs]
     if added.held is not None:
+        acting = nonzero_columns(added.held)
+        held = replace(e, u=added.held[:, acting])
+        B.append(at.B[:, :, acting])
+        inputs.append(input_moments(point.model, held, point.hold, order))
         e = replace(e, u=e.u + added.held)
-        at = motion(point.model, e, point.hold)
     if added.force is not None:
-        order = len(at.scale) - 1
-        outer = force_moments(added.force, e.Ts_s, order, point.hold)
-        B = np.concatenate([at.B, at.mobility], axis=2)
-        at = replace(at, B=B, inputs=np.concatenate([at.inputs, outer], axis=2))
+        B.append(at.mobility)
+        inputs.append(force_moments(added.force, e.Ts_s, order, point.hold))
+    if len(B) > 1:
+        at = replace(at, B=np.concatenate(B, axis=2), inputs=np.concatenate(inputs, axis=2))
     return e, at
 
 

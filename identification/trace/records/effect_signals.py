@@ -35,12 +35,16 @@ def _mean_force(at: Motion, y: Array) -> Array:
 
     Without it the weight alone would bias the filter by tens of micrometres.
     """
-    stiff = np.einsum("nij,nj->ni", np.broadcast_to(at.K, (len(y), *at.K.shape[1:])), y)
-    pushed = np.einsum(
-        "nij,nj->ni", np.broadcast_to(at.B, (len(y), *at.B.shape[1:])), at.inputs[:, 0] / at.Ts_s
-    )
-    own = np.broadcast_to(at.drift[:, 0] / at.Ts_s, y.shape)
-    return np.linalg.solve(at.mobility.mean(axis=0), (stiff - pushed - own).mean(axis=0))
+    acting = _mean_product(at.B, at.inputs[:, 0]) + at.drift[:, 0].mean(axis=0)
+    left = _mean_product(at.K, y) - acting / at.Ts_s
+    return np.linalg.solve(at.mobility.mean(axis=0), left)
+
+
+def _mean_product(matrices: Array, vectors: Array) -> Array:
+    """Return the mean over the rows of matrices (1 or N, n, m) times vectors (N, m)."""
+    if len(matrices) == 1:
+        return np.asarray(matrices[0] @ vectors.mean(axis=0))
+    return np.asarray(np.einsum("nij,nj->i", matrices, vectors) / len(vectors))
 
 
 def trajectory(record: TraceRecord, q: Array, coil: Array, lag_s: float) -> Signals:

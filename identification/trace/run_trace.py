@@ -33,7 +33,7 @@ from .records.searched_effects import searched_effects
 from .records.sensor_and_amplifier_noise import disturbance, require_noise
 from .residual.free_run_error import RecordError, pooled, record_error
 from .residual.random_vibration import RandomVibration, force_spectrum, shaking
-from .search.gauss_newton import NEARLY, Candidate, Part, refine
+from .search.gauss_newton import NEARLY, ROUGHLY, Candidate, Part, refine
 from .search.nonrigid_screening import shown_beyond
 from .search.regression import FOLDS
 from .search.search import Found, search
@@ -235,7 +235,7 @@ def _begin(
     del records, train, held  # the workers read the logs themselves
 
     start = logged.with_estimated_noise(replace(point, reference=point.model))
-    declared, _ = refine(start, logged, within=NEARLY)
+    declared, _ = refine(start, logged, within=ROUGHLY)
     return _Begun(
         logged, declared, places, covered, *names, overlapping, notes, tuple(whole.values())
     )
@@ -350,7 +350,8 @@ def _start(
 
     for louder in _LOUDER if noise.measured else ():
         loud = noise.noise.scaled(force=louder)
-        at, _ = refine(replace(point, disturbance=replace(noise, noise=loud)), logged)
+        loudly = replace(point, disturbance=replace(noise, noise=loud))
+        at, _ = refine(loudly, logged, within=ROUGHLY)
         point = replace(at, disturbance=noise)
     if noise.measured:
         noise = disturbance(point.model, records, noise.noise)

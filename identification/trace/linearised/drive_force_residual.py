@@ -35,15 +35,9 @@ def beside_motion(here: Along, drive: Array, every: int = 1) -> Array:
 
     Each row is the mean of `every` rows of the record.
     """
-    s = here.signals
-    # Speed is included: its effect is that of a reading delayed by half a period.
-    own = np.column_stack(
-        [
-            np.ones(s.rows), s.x_b_m, s.x_b_m**2, s.v_b_m_s, s.a_b_m_s2, *pushes(s), s.q,
-            _accelerations(here),
-        ]
-    )  # fmt: skip
-    basis, _ = np.linalg.qr(thinned(own / np.maximum(np.abs(own).max(axis=0), 1e-300), every))
+    if every not in here.bases:
+        here.bases[every] = _basis(here, every)
+    basis = here.bases[every]
     return np.asarray(drive - basis @ (basis.T @ drive))
 
 
@@ -78,22 +72,39 @@ def drive_channel(here: Along, columns: Array) -> Array | None:
     return np.asarray(columns * quiet[:, None] / sd)
 
 
+def _basis(here: Along, every: int) -> Array:
+    """Return an orthonormal basis (N', .) of the forces that beam and platform motion need."""
+    s = here.signals
+    # Speed is included: its effect is that of a reading delayed by half a period.
+    own = np.column_stack(
+        [
+            np.ones(s.rows), s.x_b_m, s.x_b_m**2, s.v_b_m_s, s.a_b_m_s2, *pushes(s), s.q,
+            _accelerations(here),
+        ]
+    )  # fmt: skip
+    size = np.maximum(np.abs(own).max(axis=0), np.finfo(float).tiny)
+    return np.asarray(np.linalg.qr(thinned(own / size, every))[0])
+
+
 def _accelerations(here: Along) -> Array:
     """Return the pose's accelerations (N, n) at the rows, from the model's forces.
 
     Twice differentiated readings would be too noisy for a friction of millinewtons.
     """
-    e, at, s, n = here.record.experiment, here.at, here.signals, here.at.K.shape[1]
+    e, at, s = here.record.experiment, here.at, here.signals
     step = held_step(e.Ts_s, 1, e.delay_cycles * e.Ts_s, s.lag_s)
     given = e.u if here.added.held is None else e.u + here.added.held
     acting = lagged_input(given, step) if s.lag_s > 0.0 else s.acting(given)
-    each = (s.rows, n, n)
-    K, D = np.broadcast_to(at.K, each), np.broadcast_to(at.D, each)
-    pushed = np.einsum("nip,np->ni", np.broadcast_to(at.B, (s.rows, *at.B.shape[1:])), acting)
-    moved = np.einsum("nij,nj->ni", K, s.q) + np.einsum("nij,nj->ni", D, s.qd)
+    pushed, moved = _products(at.B, acting), _products(at.K, s.q) + _products(at.D, s.qd)
     own = np.broadcast_to(at.drift[:, 0] / e.Ts_s, s.q.shape)  # means over the following period
     now = 0.5 * (own + np.vstack([own[:1], own[:-1]]))
     if here.added.force is not None:
-        mobility = np.broadcast_to(at.mobility, each)
-        now = now + np.einsum("nij,nj->ni", mobility, here.added.force)
+        now = now + _products(at.mobility, here.added.force)
     return np.asarray(pushed - moved + now)
+
+
+def _products(matrices: Array, vectors: Array) -> Array:
+    """Return matrices (1 or N, n, m) times vectors (N, m)."""
+    if len(matrices) == 1:
+        return np.asarray(vectors @ matrices[0].T)
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

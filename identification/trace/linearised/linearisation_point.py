@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,8 @@ class Along:
     unknowns: Array
     every: int
     sd: float
+    bases: dict[int, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Of the drives' forces for this motion, by decimation, once they were asked for."""
 
 
 def thinning(Ts_s: float) -> int:

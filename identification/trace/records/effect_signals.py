@@ -26,7 +26,9 @@ def measured_signals(
     at = settled(at, _mean_force(at, y))
     error = innovations(at, gain, y, start)
     n = y.shape[1]
-    q = y - error + np.einsum("nij,nj->ni", np.broadcast_to(gain[:, :n], (len(y), n, n)), error)
+    own = gain[:, :n]
+    moved = error @ own[0].T if len(own) == 1 else np.einsum("nij,nj->ni", own, error)
+    q = y - error + moved
     return trajectory(record, q, record.coil, lag_s)
 
 

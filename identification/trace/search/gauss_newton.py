@@ -26,8 +26,8 @@ _MOST_DAMPING = 1e4
 _WORTH_A_STEP = 0.1
 """Squared errors that a step must promise, and take."""
 ROUGHLY, NEARLY, FULLY = 1e-3, 1e-4, 1e-6
-"""The same as a share of what noise does not explain: while others are missing, what is at its best
-now will not be then."""
+"""The same as a share of how far the squares are from those of noise: while others are missing, or
+the noise is assumed larger than it is, what is at its best now will not be then."""
 _CRAWLS = 0.1
 """Of what a step must promise: two in a row that take less crawl along a valley that bends."""
 _SHORT = 1.0
@@ -57,9 +57,9 @@ class Fitted(Protocol):
 def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[WorkingPoint, float]:
     """Refine a point to the nearest local minimum; return it and its squared errors.
 
-    It ends where a whole step promises less than the share `within` of what is unexplained; where
-    two in a row take a tenth of that; and where errors rise along a short one by more than a whole
-    one promises: trajectories move too, and have another gradient.
+    It ends where a whole step promises less than the share `within` of how far the squares are from
+    those of noise; where two in a row take a tenth of that; and where errors rise along a short one
+    by more than a whole one promises: trajectories move too, and have another gradient.
     """
     train = gather(point, records.train(point))
     damping, crawls = 0.0, False
@@ -67,7 +67,7 @@ def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[W
         step, free = _step(point, train, 0.0)
         errors = np.sqrt(np.diag(covariance(train.whole, free))) / train.size[free]
         small = float(np.max(np.abs(step[free]) / errors, initial=0.0))
-        worth = max(_WORTH_A_STEP, within * train.excess)
+        worth = max(_WORTH_A_STEP, within * abs(train.excess))
         promised = _promised(train, step)
         if small < _CONVERGED or promised < worth:
             break

@@ -353,7 +353,7 @@ class Placed:
     standard_errors: Mapping[str, float] = field(default_factory=dict)
     plain: bool = False
     """Whether a fit holds it to the law as textbooks have it: a depth of 1 (`Effect.whole`), one
-    number for two that are equal (`Effect.equal_numbers`)."""
+    number for two that are equal (`Effect.equal_numbers`), a limit that ends (`Quantity.ends`)."""
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -372,6 +372,8 @@ class Placed:
         free = np.eye(len(names))
         if self.plain and self.effect.whole:
             return np.delete(free, names.index("depth"), axis=1)
+        if self.plain and self._ending:
+            return np.delete(free, [names.index(q.name) for q in self._ending], axis=1)
         if self.plain and self.effect.equal_numbers is not None:
             one, other = (names.index(name) for name in self.effect.equal_numbers)
             free[other, one] = 1.0
@@ -395,6 +397,22 @@ class Placed:
             return None
         count = len(self.amplitudes)
         return replace(self.with_values(values[count:], values[:count]), plain=True)
+
+    def at_its_end(self) -> Placed | None:
+        """Return it held where its law ends, as a saturation with a hard corner; None if it does
+        not end."""
+        if not self._ending:
+            return None
+        shape = [
+            q.high if q.ends else value
+            for q, value in zip(self.effect.shape, self.shape, strict=True)
+        ]
+        return replace(self.with_values(shape, self.amplitudes), plain=True)
+
+    @property
+    def _ending(self) -> list[Quantity]:
+        """Numbers of its shape that have a last value."""
+        return [q for q in self.effect.shape if q.ends]
 
     def term(self, signals: Signals) -> Term:
         """Return the total contribution of the effect."""

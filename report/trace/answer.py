@@ -130,10 +130,11 @@ def _rest_of_imported(result: ForceOutcome) -> str:
         before, after = (e.force_percent[i] for e in (result.before, result.after))
         at = f" at {symbol(name)}" if len(result.dof) > 1 else ""
         parts.append(f"from {before:.3g} to {after:.3g} % of the inputs' force{at}")
+    lacks = "".join(f" {_sentence(clause)}" for clause in result.lacks)
     if result.laws:
-        return f"The missing force falls {'; '.join(parts)}."
+        return f"The missing force falls {'; '.join(parts)}.{lacks}"
     left = "; ".join(
         f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
         for e, name in zip(result.after.force_percent, result.dof, strict=True)
     )
-    return f"No undeclared effect was confirmed. The model leaves {left} unexplained."
+    return f"No undeclared effect was confirmed. The model leaves {left} unexplained.{lacks}"

@@ -31,6 +31,7 @@ class Certainty:
     errors: Array
     correlations: Array
     force_errors: list[Array]
+    left: Array
     form: Array
     left_share: tuple[float, ...]
 
@@ -77,6 +78,7 @@ class Certainty:
             uncertainty.standard_errors(),
             correlation(uncertainty.covariance),
             relative_force_errors(point, fitted, uncertainty),
+            _rms([r.varying(r.missing_force(found.point)) for r in fitted]) / force,
             form,
             _left_share(found, training, least, options),
         )

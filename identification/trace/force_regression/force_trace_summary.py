@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,9 +50,9 @@ class FoundLaw:
     force in the rows that neither fitted nor chose, and whether its free run is farther from them.
     floors: error of the free run over what the stated noise leaves of it, at the DOF where that is
     most, nan without them or if hardly any of the error before is left, infinite if it converges
-    without effects only. told: whether the force of one of its amplitudes is told from zero.
-    surely: standard errors from which on two numbers differ; agreement: deviations within which
-    data agree; accuracy: relative error of a right law.
+    without effects only and the force does not confirm them. told: whether the force of one of its
+    amplitudes is told from zero. surely: standard errors from which on two numbers differ;
+    agreement: deviations within which data agree; accuracy: relative error of a right law.
     """
 
     rated: Rated
@@ -108,7 +108,7 @@ class FoundLaw:
     def _off(self) -> str:
         """How far off the free run is."""
         if np.isinf(self.floors):
-            return "with what was found the free run does not converge, so nothing confirms it"
+            return "with what was found the free run does not converge, and the force leaves room"
         return f"with what was found the free run is {self.floors:.2g} times the noise off"
 
     @property
@@ -195,8 +195,9 @@ class ForceOutcome:
 
     before, after: errors on the reported rows. metric: what measures them; `before_rms`,
     `after_rms` in its unit. free_form (n,): what a free form of all signals leaves of the force in
-    the fitted rows, in per cent, nan without one. nearest: what takes much of what is left, and was
-    refused, as a clause; empty if nothing does.
+    the fitted rows, in per cent, nan without one. lacking: by DOF, the share of the squared missing
+    force that such a form takes, where it matters. nearest: what takes much of what is left, and
+    was refused, as a clause; empty if nothing does.
     """
 
     laws: tuple[FoundLaw, ...]
@@ -207,6 +208,7 @@ class ForceOutcome:
     after_rms: float
     floor: float | None
     free_form: Array
+    lacking: Mapping[str, float]
     dof: tuple[str, ...]
     nearest: str
 
@@ -243,7 +245,17 @@ class ForceOutcome:
                 self.dof, self.after.force_percent, self.free_form, strict=True
             )
         ]
-        return f"the model leaves {', '.join(left)}"
+        return "; ".join([f"the model leaves {', '.join(left)}", *self.lacks])
+
+    @property
+    def lacks(self) -> list[str]:
+        """What no law of the table describes at a DOF, in a clause each."""
+        return [
+            f"an unlisted function of the signals would take {100 * share:.2g} % of the squared "
+            f"missing force at {name}: numbers of the model there may hold a part of it, of which "
+            "their intervals know nothing"
+            for name, share in self.lacking.items()
+        ]
 
 
 def _beside(form: float, after: float) -> str:
@@ -272,9 +284,23 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         sizes[1],
         floor,
         trace.free_form,
+        _lacking(trace),
         trace.places.dof,
         _nearest(trace),
     )
+
+
+def _lacking(trace: ForceTrace) -> dict[str, float]:
+    """Return, by DOF, the share of the squared missing force that a free form takes, if it matters.
+
+    It does as one that is added: it takes `least_free_gain`, and `least_force` of the inputs'.
+    """
+    options, found = trace.options, {}
+    for name, left, form in zip(trace.places.dof, trace.left, trace.free_form, strict=True):
+        share = 1.0 - (form / left) ** 2 if left > 0.0 else 0.0
+        if share > options.least_free_gain and left - form > 100.0 * options.least_force:
+            found[name] = float(share)
+    return found
 
 
 def _nearest(trace: ForceTrace) -> str:
@@ -347,6 +373,7 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
             "unexplained": {
                 "found": found.verdict,
                 "doubtful": found.doubtful,
+                "lacking": found.lacking,
                 "nearest": [
                     {
                         **_named(r),
@@ -428,6 +455,9 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
     grew = _grew(*(e.force_percent for e in pooled)), _grew(*(e.percent for e in pooled))
     known = {p.effect.identity for p in trace.found.point.placed}
     surely = trace.options.standard_errors
+    floors = _floors(*pooled, trace.options.alike)
+    if np.isinf(floors) and _confirmed_by_force(trace, pooled[1]):
+        floors = float("nan")
     for rated, left in zip(trace.found.rated, trace.left_share, strict=True):
         own = _kind(rated)
         # What was found later besides is no alternative any more.
@@ -446,7 +476,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.options.least_gain,
                 trace.curves.get(rated.placed.effect.identity),
                 grew,
-                _floors(*pooled, trace.options.alike),
+                floors,
                 bool(np.any(surely * errors[rated.placed.effect.identity] < 1.0)),
                 surely,
                 trace.options.agreement,
@@ -468,6 +498,16 @@ def _floors(before: PooledError, after: PooledError, inexact: float) -> float:
         ratios = np.where(after.error > inexact * before.error, after.error / after.floor, np.nan)
     known = ratios[np.isfinite(ratios)]
     return float(known.max()) if len(known) else float("nan")
+
+
+def _confirmed_by_force(trace: ForceTrace, after: PooledError) -> bool:
+    """Return whether rows that neither fitted nor chose miss no more force than any law leaves.
+
+    A plant between two stops can be chaotic: then no free run converges, of the right law either. A
+    free form of all signals, in the fitted rows, stands for any law.
+    """
+    room = 1.0 - trace.options.least_free_gain
+    return bool(np.all(room * after.force_percent**2 <= trace.free_form**2))
 
 
 def _grew(before: Array, after: Array) -> bool:

@@ -53,7 +53,7 @@ def with_plain_laws(found: Searched, training: Training, options: SearchOptions)
     """Return the result with each found law held to its textbook form, if the records agree."""
     for identity in [r.placed.effect.identity for r in found.rated]:
         own = next(p for p in found.point.placed if p.effect.identity == identity)
-        held = own.as_textbook()
+        held = own.as_textbook() or own.at_its_end()
         if held is None:
             continue
         others = tuple(p for p in found.point.placed if p is not own)
@@ -73,7 +73,7 @@ def _surely_another(point: ForceModel, training: Training, options: SearchOption
     By less than a right law's accuracy it may differ.
     """
     free = point.placed[-1]
-    textbook = free.as_textbook()
+    textbook = free.as_textbook() or free.at_its_end()
     if textbook is None:
         return False
     freedom = textbook.freedom

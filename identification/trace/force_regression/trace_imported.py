@@ -63,8 +63,9 @@ class ForceTrace:
     declared: the refitted model without new effects; found: the search's result; errors: standard
     errors of its numbers, correlations (K, K) theirs; force_errors: relative ones of the forces of
     each effect's amplitudes, in the point's order. before, after: errors on the reported rows.
-    free_form (n,): what a free form of all signals leaves of the acting force in the fitted rows,
-    in per cent, nan where all terms of an equation are free. left_share: for each effect found, the
+    left, free_form (n,): what the model and what a free form of all signals leave of the acting
+    force in the fitted rows, in per cent; the latter nan where all terms of an equation are free.
+    left_share: for each effect found, the
     share of the squared missing force without it that is left with it, of what such a form
     explains. curves: free forms of a law's signal that surely improve on it, by the law's identity.
     noise_sd (n,): of each output; noise_stated: whether the signals files state it. fitted,
@@ -80,6 +81,7 @@ class ForceTrace:
     force_errors: Sequence[Array]
     before: tuple[ReportedError, ...]
     after: tuple[ReportedError, ...]
+    left: Array
     free_form: Array
     left_share: tuple[float, ...]
     curves: Mapping[str, Rated]
@@ -200,8 +202,8 @@ def _traced(
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors, before,
-        after, 100.0 * last.form, last.left_share, curves, sd, stated, limit_hz, fitted,
-        reported,
+        after, 100.0 * last.left, 100.0 * last.form, last.left_share, curves, sd, stated, limit_hz,
+        fitted, reported,
         (*notes, *held, *table.notes, *_at_limits(found.point), *_held(found.point)), options,
     )  # fmt: skip
 
@@ -239,8 +241,11 @@ def _held(point: ForceModel) -> tuple[str, ...]:
     for p in point.placed:
         if p.plain and p.effect.equal_numbers is not None:
             what = f"{' and '.join(p.effect.equal_numbers)} are one number"
-        elif p.plain:
+        elif p.plain and p.effect.whole:
             what = "its depth is 1"
+        elif p.plain:
+            ends = ", ".join(q.name for q in p.effect.shape if q.ends)
+            what = f"{ends} is at its end"
         else:
             continue
         found.append(f"{p.effect.name}: {what}, as in its textbook law; the records agree")

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from levid.config.base import parse_text
 from levid.config.model import EffectParameter, ModelConfig
+from levid.identification.trace.force_regression import force_trace_summary
 from levid.identification.trace.force_regression.force_trace_summary import FoundLaw
 from levid.identification.trace.force_regression.rated_candidate import Rated
 from levid.identification.trace.records.record_from_log import imported_places
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 
@@ -111,3 +116,27 @@ def test_a_partial_law_and_a_free_run_that_stays_off_are_in_doubt(
     }
     law = found(rated, numbers, floors)
     assert law.doubtful == doubtful
+
+
+def left_with(left: list[float], form: list[float]) -> Any:
+    """Return what a trace of two DOF says of the force in the fitted rows, in per cent."""
+    places = SimpleNamespace(dof=("x", "y"))
+    return SimpleNamespace(
+        options=SearchOptions(), places=places, left=np.array(left), free_form=np.array(form)
+    )
+
+
+@pytest.mark.parametrize(
+    ("form", "confirmed"), [(0.5, True), (0.46, True), (0.3, False), (np.nan, False)]
+)
+def test_force_confirms_what_leaves_no_more_than_a_free_form(form: float, confirmed: bool) -> None:
+    after: Any = SimpleNamespace(force_percent=np.array([0.5, 0.1]))
+    trace = left_with([0.5, 0.1], [form, 0.1])
+    assert force_trace_summary._confirmed_by_force(trace, after) == confirmed
+
+
+def test_a_dof_lacks_what_a_free_form_takes_if_it_matters() -> None:
+    lacking = force_trace_summary._lacking
+    # Of 8.5 % a half; of 0.5 % as well, but that is less than equations are right to.
+    assert lacking(left_with([8.5, 0.5], [6.0, 0.35])) == {"x": pytest.approx(0.502, abs=1e-3)}
+    assert lacking(left_with([8.5, 8.5], [8.0, np.nan])) == {}

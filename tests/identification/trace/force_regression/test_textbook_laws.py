@@ -65,6 +65,15 @@ def test_textbook_form_of_a_lag_has_one_number_and_of_second_order_a_depth_of_on
     assert Placed(law("damping.quadratic"), (), (1.0,)).as_textbook() is None
 
 
+def test_a_saturation_ends_with_a_hard_corner() -> None:
+    soft = Placed(law("saturation"), (0.3, 40.0), (0.9,))
+    hard = soft.at_its_end()
+    assert hard is not None
+    assert hard.values == (0.9, 0.3, soft.effect.shape[1].high)
+    assert hard.freedom.tolist() == [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]
+    assert LAG.at_its_end() is None
+
+
 def test_a_step_changes_what_is_free_and_keeps_the_form() -> None:
     lag, second = LAG.as_textbook(), SECOND.as_textbook()
     assert lag is not None

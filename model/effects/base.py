@@ -311,6 +311,8 @@ class Effect:
     before_lag: str = ""
     """Key of the law that does the same to the command, before a lag that the actuator has; this
     one acts behind it. Empty for laws that have no such twin."""
+    of_session_time: bool = False
+    """Whether it depends on the session's time: told from what it does, not declared."""
     linear: bool = False
     """Whether its force is in proportion to a term of a linear model: no other law, which becomes
     one at the end of its range, is then meant."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ....model.effects.base import Effect, Placed, Places
 from ....model.effects.freeform import freeform_effects
@@ -39,12 +39,19 @@ def searched_effects(
         named = [e for e in named if not any(w.startswith("sensor") for w in e.where)]
     free = list(freeform_effects(places, covered))
     notes: tuple[str, ...] = ()
-    if overlapping:
-        named, timed = timeless(named, places, covered)
-        free, _ = timeless(free, places, covered)
-        if timed:
-            kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
-            what = "effects that depend on session time"
-            remedy = "" if places.beam else "; state begins_s in each SIGNALS.yaml"
-            notes = (f"{overlapping} overlap: {what} are not searched ({kinds}){remedy}",)
-    return SearchedEffects(tuple(named), tuple(free), notes)
+    lasting, timed = timeless(named, places, covered)
+    lasting_free, timed_free = timeless(free, places, covered)
+    if not overlapping:
+        return SearchedEffects(_marked(named, timed), _marked(free, timed_free), notes)
+    if timed:
+        kinds = ", ".join(dict.fromkeys(e.effect_class for e in timed))
+        what = "effects that depend on session time"
+        remedy = "" if places.beam else "; state begins_s in each SIGNALS.yaml"
+        notes = (f"{overlapping} overlap: {what} are not searched ({kinds}){remedy}",)
+    return SearchedEffects(tuple(lasting), tuple(lasting_free), notes)
+
+
+def _marked(effects: Sequence[Effect], timed: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return the effects, those that depend on session time marked."""
+    of_time = {e.identity for e in timed}
+    return tuple(replace(e, of_session_time=e.identity in of_time) for e in effects)

@@ -2,7 +2,8 @@
 
 What a candidate does in a record costs as much as the record is long. In the parts with the largest
 errors, those that explain most of all records are among the best already; which of them is best,
-all records tell. Parts are as short as tell an effect that matters from chance.
+all records tell. Parts are as short as tell an effect that matters from chance. Of what depends on
+the session's time, as a load that is put on once, no part tells: whole records are asked.
 """
 
 from __future__ import annotations
@@ -34,42 +35,36 @@ def shortlisted(
 ) -> list[Candidate]:
     """Return the candidates that explain most of some records, in their order.
 
-    All are returned if they are few, or if a part of them has too few blocks. What acts on the
-    drives only is among them: what these measure is no error of the platform, by which parts are
-    chosen.
+    All are returned if they are few, and those for which a third of the records has too few blocks.
+    What acts on the drives only is among them: what these measure is no error of the platform, by
+    which parts are chosen.
     """
     if len({e.identity for e, _ in candidates}) <= options.shortlisted:
         return list(candidates)
-    chosen = [c for c in candidates if not is_internal(c[0])]
-    best = {id(c) for c in _best(point, chosen, records, options)}
-    return [c for c in candidates if is_internal(c[0]) or id(c) in best]
-
-
-def _best(
-    point: WorkingPoint,
-    candidates: Sequence[Candidate],
-    records: Fitted,
-    options: SearchOptions,
-) -> list[Candidate]:
     train = gather(point, records.train(point))
     left = train.gram[:, -1, -1] - train.count
     # What matters takes a share of these that is no chance.
-    only = most_telling(train, left[None], options.least_squares / options.least_gain)
-    if not only:
-        return list(candidates)
-    some = gather(point, records.train(point, candidates, only))
-    gained = [float(gain.sum()) for gain in gains(some)]
-    finite = [i for i in range(len(candidates)) if np.isfinite(gained[i])]
-    finite.sort(key=lambda i: -gained[i])
+    parts = most_telling(train, left[None], options.least_squares / options.least_gain)
+    whole = most_telling_records(train, left)
+    shares: dict[int, float] = {}
+    for only, timed in ((parts, False), (whole, True)):
+        asked = [c for c in candidates if not is_internal(c[0]) and c[0].of_session_time == timed]
+        if only and asked:
+            some = gather(point, records.train(point, asked, only))
+            for one, gain in zip(asked, gains(some), strict=True):
+                shares[id(one)] = float(gain.sum()) / max(some.excess, 1.0)
+    best = _best([c for c in candidates if id(c) in shares], shares, options.shortlisted)
+    return [c for c in candidates if id(c) not in shares or id(c) in best]
+
+
+def _best(candidates: Sequence[Candidate], shares: dict[int, float], count: int) -> set[int]:
+    """Return those of the effects that explain the largest shares of what they were asked about."""
+    finite = [c for c in candidates if np.isfinite(shares[id(c)])]
     most: dict[str, float] = {}
-    for i in finite:
-        most.setdefault(candidates[i][0].identity, gained[i])
-    best = dict(list(most.items())[: options.shortlisted])
-    return [
-        c
-        for c, gain in zip(candidates, gained, strict=True)
-        if c[0].identity in best and gain >= _SHAPE * best[c[0].identity]
-    ]
+    for one in sorted(finite, key=lambda c: -shares[id(c)]):
+        most.setdefault(one[0].identity, shares[id(one)])
+    best = dict(list(most.items())[:count])
+    return {id(c) for c in finite if shares[id(c)] >= _SHAPE * best.get(c[0].identity, np.inf)}
 
 
 def most_telling(train: ColumnEvidence, squares: Array, needed: float) -> list[Part]:
@@ -95,6 +90,22 @@ def most_telling(train: ColumnEvidence, squares: Array, needed: float) -> list[P
         if inside.sum() >= 2 * FOLDS and np.all(squares[:, inside].sum(axis=1) >= needed):
             return parts
     return parts if sum(p.last - p.first for p in parts) >= 2 * FOLDS else []
+
+
+def most_telling_records(train: ColumnEvidence, squares: Array) -> list[Part]:
+    """Return the records with most squared errors (blocks,) for their length, as parts.
+
+    They are a third of the time; none if these have too few blocks to tell, or are all.
+    """
+    blocks = np.bincount(train.record)
+    count = np.bincount(train.record, train.count)
+    total = np.bincount(train.record, squares)
+    order = np.argsort(-total / np.maximum(count, 1.0))
+    enough = int(np.searchsorted(np.cumsum(count[order]), _PART * count.sum())) + 1
+    chosen = sorted(order[:enough].tolist())
+    if len(chosen) == len(blocks) or blocks[chosen].sum() < 2 * FOLDS:
+        return []
+    return [Part(number, 0, int(blocks[number])) for number in chosen]
 
 
 def _best_part(number: int, worth: Array, length: int) -> Part:

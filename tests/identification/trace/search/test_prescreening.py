@@ -14,7 +14,11 @@ from levid.identification.trace.linearised.gram_matrices import Linearised
 from levid.identification.trace.linearised.linearise_prediction_errors import linearise
 from levid.identification.trace.search import prescreening
 from levid.identification.trace.search.gauss_newton import Part
-from levid.identification.trace.search.prescreening import most_telling, shortlisted
+from levid.identification.trace.search.prescreening import (
+    most_telling,
+    most_telling_records,
+    shortlisted,
+)
 from levid.identification.trace.search.tested_candidate import is_internal
 from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.candidate_effects import all_effects
@@ -59,9 +63,16 @@ def test_parts_are_a_third_of_the_time_at_most() -> None:
     assert most_telling(train, SQUARES[None], np.inf) == most_telling(train, SQUARES[None], 0.0)
 
 
+def test_records_with_the_largest_errors_for_their_length_are_a_third_of_the_time() -> None:
+    # Record 0 has the largest errors in all, but not for its length.
+    records = most_telling_records(evidence(SQUARES, RECORDS), SQUARES)
+    assert records == [Part(0, 0, 20), Part(2, 0, 5)]
+
+
 def test_few_blocks_tell_nothing() -> None:
     train = evidence([10.0] * 6, [0, 0, 1, 1, 2, 2])
     assert most_telling(train, np.full((1, 6), 10.0), 0.0) == []
+    assert most_telling_records(train, np.full(6, 10.0)) == []
 
 
 class ThreeRecords:

@@ -6,19 +6,22 @@ machines*, IEEE Trans. Energy Conversion 15, 2000). A rotary motor has the same 
 angle. The travel is taken as four standard deviations of the motion. Start values of the pitch are
 half a cycle over the travel apart, from two to 20 cycles over it: with fewer it is a nonlinear
 stiffness, or gravity on an arm. Shorter pitches begin at the strongest lines of the missing force
-over the position. Signature: depends on the position only, not on speed, direction or command.
+over the position. Poles, slots and a harmonic of either are lines of their own: beside one, another
+one is asked. Signature: depends on the position only, not on speed, direction or command.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
 from .operating_range import TRAVEL, Extent
 
+_KEY = "cogging.position"
 _FEWEST, _MOST, _APART = 2.0, 20.0, 0.5
 """Cycles over the travel: fewest, most, and between neighbouring start values."""
 
@@ -28,12 +31,13 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     if places.beam:
         return []
     found = []
-    for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
-        pitches = _pitches(TRAVEL * extent.reach[i], extent.periods[i] if extent.periods else ())
+    for (i, dof), another in product(enumerate(places.dof), (False, True)):
+        unit, lines = places.dof_units[i], extent.periods[i] if extent.periods else ()
+        pitches = _pitches(TRAVEL * extent.reach[i], lines)
         found.append(
             Effect(
-                "cogging.position",
-                "Cogging of a motor",
+                _KEY + (".another" if another else ""),
+                "Another cogging of a motor" if another else "Cogging of a motor",
                 "cogging",
                 (dof,),
                 "force = a sin(2 pi q / pitch) + b cos(2 pi q / pitch)",
@@ -43,6 +47,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 tuple((pitch,) for pitch in pitches),
                 absorbed_by="pitch longer than the travel: stiffness and constant force",
                 told_apart_by="slow motion over many pitches, in both directions",
+                beside=_KEY if another else "",
             )
         )
     return found

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ...identification.trace.found_effects_summary import NOISE_MOST
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.number_format import times_text
@@ -132,7 +134,9 @@ def _rest_of_imported(result: ForceOutcome) -> str:
         parts.append(f"from {before:.3g} to {after:.3g} % of the inputs' force{at}")
     lacks = "".join(f" {_sentence(clause)}" for clause in result.lacks)
     if result.laws:
-        return f"The missing force falls {'; '.join(parts)}.{lacks}"
+        before, after = (np.linalg.norm(e.force_percent) for e in (result.before, result.after))
+        changes = "falls" if after < before else "does not fall:"
+        return f"The missing force {changes} {'; '.join(parts)}.{lacks}"
     left = "; ".join(
         f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
         for e, name in zip(result.after.force_percent, result.dof, strict=True)

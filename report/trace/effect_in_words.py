@@ -124,6 +124,7 @@ _CLAUSES = {
     "beam_motion.": "the beam's motion pushes {at} otherwise than declared",
     "cable_pull.": "a cable of the beam pulls on {at}",
     "torque_ripple": "the force of {at} ripples over the position, every {pitch}",
+    "cogging.position.another": "the motor of {at} also cogs every {pitch}",
     "cogging.position": "the motor of {at} cogs every {pitch}",
     "cogging": "the beam's motors cog every {pitch}",
     "external_field": "a field along the beam's way pulls on {at}",

@@ -16,7 +16,7 @@ from .force_record import ForceModel, ForceRecord
 from .free_numbers import numbers
 from .instrumental_variables import Unbiased
 from .intervals import Uncertainty, relative_force_errors
-from .richest_free_form import residual_of_richest
+from .richest_free_form import foretold, residual_of_richest
 from .search import Searched
 from .training_records import Training, missing_share
 
@@ -31,9 +31,10 @@ class Certainty:
     errors: Array
     correlations: Array
     force_errors: list[Array]
-    left: Array
+    unseen: Array
     form: Array
     left_share: tuple[float, ...]
+    leaning: tuple[float, ...]
 
     @classmethod
     def of(
@@ -73,14 +74,17 @@ class Certainty:
         # Where all terms of an equation are free there is no form: all but the readings' noise
         # counts.
         least = np.where(np.isfinite(form), form, quiet / force)
+        force_errors = relative_force_errors(point, fitted, uncertainty)
+        left_share = _left_share(found, training, least, options)
         return cls(
             with_numbers(found, point),
             uncertainty.standard_errors(),
             correlation(uncertainty.covariance),
-            relative_force_errors(point, fitted, uncertainty),
-            _rms([r.varying(r.missing_force(found.point)) for r in fitted]) / force,
+            force_errors,
+            foretold(found.point, fitted, whole.plain.own, options.fewest_blocks) / force,
             form,
-            _left_share(found, training, least, options),
+            left_share,
+            _leaning(found, training, least, options, left_share, force_errors),
         )
 
     def says_nothing(self, options: SearchOptions) -> str | None:
@@ -169,6 +173,48 @@ def _left_share(
         there = beyond[most] + max(float(taken[most]), 0.0)
         shares.append(float(beyond[most] / there) if there > 0.0 else 0.0)
     return tuple(shares)
+
+
+def _leaning(
+    found: Searched,
+    training: Training,
+    least: Array,
+    options: SearchOptions,
+    left_share: Sequence[float],
+    force_errors: Sequence[Array],
+) -> tuple[float, ...]:
+    """Return for each effect what `_left_share` says of the model without the effects in doubt.
+
+    Where others are in doubt it may be right only together with them: so it has to be right without
+    them. 0 for those in doubt, if none is, and for free forms, which are no names.
+    """
+    errors = {p.effect.identity: e for p, e in zip(found.point.placed, force_errors, strict=True)}
+    shares = {
+        r.placed.effect.identity: share
+        for r, share in zip(found.rated, left_share, strict=True)
+        if not r.free
+    }
+    doubtful = {
+        one
+        for one, share in shares.items()
+        if share > options.least_gain or not np.any(options.standard_errors * errors[one] < 1.0)
+    }
+    leaning = dict.fromkeys(shares, 0.0)
+    while doubtful and len(doubtful) < len(shares):
+        kept = tuple(p for p in found.point.placed if p.effect.identity not in doubtful)
+        rated = tuple(r for r in found.rated if r.placed.effect.identity not in doubtful)
+        sure = with_numbers(
+            replace(found, rated=rated), training.fit(replace(found.point, placed=kept))
+        )
+        more = set()
+        for r, share in zip(rated, _left_share(sure, training, least, options), strict=True):
+            if not r.free and share > options.least_gain:
+                leaning[r.placed.effect.identity] = share
+                more.add(r.placed.effect.identity)
+        if not more:
+            break
+        doubtful |= more
+    return tuple(leaning.get(r.placed.effect.identity, 0.0) for r in found.rated)
 
 
 def _rms(values: Sequence[Array]) -> Array:

@@ -45,14 +45,15 @@ class FoundLaw:
     gains most. `alternatives` are of other classes or places, each with its support: these records
     do not tell them apart. laws: other laws of the same class and place, not told apart either.
     left_share: share of the squared missing force without it that is left with it, of what a free
-    form explains. least_gain: share that an effect must take. curve: free form of its signal that
-    surely improves on it, None without one. grew: whether the model with all effects misses more
-    force in the rows that neither fitted nor chose, and whether its free run is farther from them.
-    floors: error of the free run over what the stated noise leaves of it, at the DOF where that is
-    most, nan without them or if hardly any of the error before is left, infinite if it converges
-    without effects only and the force does not confirm them. told: whether the force of one of its
-    amplitudes is told from zero. surely: standard errors from which on two numbers differ;
-    agreement: deviations within which data agree; accuracy: relative error of a right law.
+    form explains; leaning: the same without the effects in doubt. least_gain: share that an effect
+    must take. curve: free form of its signal that surely improves on it, None without one. grew:
+    whether the model with all effects misses more force in the rows that neither fitted nor chose,
+    and whether its free run is farther from them. floors: error of the free run over what the
+    stated noise leaves of it, at the DOF where that is most, nan without them or if hardly any of
+    the error before is left, infinite if it converges without effects only and the force does not
+    confirm them. told: whether the force of one of its amplitudes is told from zero. surely:
+    standard errors from which on two numbers differ; agreement: deviations within which data agree;
+    accuracy: relative error of a right law.
     """
 
     rated: Rated
@@ -61,6 +62,7 @@ class FoundLaw:
     alternatives: tuple[Rated, ...]
     laws: tuple[Rated, ...]
     left_share: float
+    leaning: float
     least_gain: float
     curve: Rated | None
     grew: tuple[bool, bool]
@@ -92,6 +94,9 @@ class FoundLaw:
             f"its {pair} would be the same, but differ": self.unequal,
             f"of the squared missing force without it, {left} is left": (
                 self.left_share > self.least_gain
+            ),
+            f"without what is in doubt, {100 * self.leaning:.2g} % is left beside it": (
+                self.leaning > self.least_gain
             ),
             "no amplitude of it is told from zero": not self.told,
             f"its {' and '.join(self.at_limit)} ended at the limit of what it can be": bool(
@@ -196,8 +201,8 @@ class ForceOutcome:
     before, after: errors on the reported rows. metric: what measures them; `before_rms`,
     `after_rms` in its unit. free_form (n,): what a free form of all signals leaves of the force in
     the fitted rows, in per cent, nan without one. lacking: by DOF, the share of the squared missing
-    force that such a form takes, where it matters. nearest: what takes much of what is left, and
-    was refused, as a clause; empty if nothing does.
+    force that a function of the motion foretells, where it matters. nearest: what takes much of
+    what is left, and was refused, as a clause; empty if nothing does.
     """
 
     laws: tuple[FoundLaw, ...]
@@ -251,7 +256,7 @@ class ForceOutcome:
     def lacks(self) -> list[str]:
         """What no law of the table describes at a DOF, in a clause each."""
         return [
-            f"an unlisted function of the signals would take {100 * share:.2g} % of the squared "
+            f"an unlisted function of the motion would take {100 * share:.2g} % of the squared "
             f"missing force at {name}: numbers of the model there may hold a part of it, of which "
             "their intervals know nothing"
             for name, share in self.lacking.items()
@@ -291,12 +296,13 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
 
 
 def _lacking(trace: ForceTrace) -> dict[str, float]:
-    """Return, by DOF, the share of the squared missing force that a free form takes, if it matters.
+    """Return, by DOF, the share of the squared missing force that a free form foretells, if it
+    matters.
 
     It does as one that is added: it takes `least_free_gain`, and `least_force` of the inputs'.
     """
     options, found = trace.options, {}
-    for name, left, form in zip(trace.places.dof, trace.left, trace.free_form, strict=True):
+    for name, left, form in zip(trace.places.dof, *trace.unseen, strict=True):
         share = 1.0 - (form / left) ** 2 if left > 0.0 else 0.0
         if share > options.least_free_gain and left - form > 100.0 * options.least_force:
             found[name] = float(share)
@@ -458,7 +464,9 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
     floors = _floors(*pooled, trace.options.alike)
     if np.isinf(floors) and _confirmed_by_force(trace, pooled[1]):
         floors = float("nan")
-    for rated, left in zip(trace.found.rated, trace.left_share, strict=True):
+    for rated, left, leaning in zip(
+        trace.found.rated, trace.left_share, trace.leaning, strict=True
+    ):
         own = _kind(rated)
         # What was found later besides is no alternative any more.
         rivals = [r for r in rated.alternatives if r.placed.effect.identity not in known]
@@ -473,6 +481,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 others,
                 same,
                 left,
+                leaning,
                 trace.options.least_gain,
                 trace.curves.get(rated.placed.effect.identity),
                 grew,

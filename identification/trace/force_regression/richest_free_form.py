@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -20,12 +21,16 @@ _ALONG = 3
 """Degree in the position of friction that changes along the way."""
 _WIDE = 3.0
 """Range of a polynomial in standard deviations; outside it is constant."""
+_RANK = 1e-8
 _ROWS_PER_NUMBER = 5.0
 """Independent rows for each number of the free form, at least."""
 
 
 def residual_of_richest(
-    point: ForceModel, records: Sequence[ForceRecord], own: Sequence[Array], unlisted: bool = False
+    point: ForceModel,
+    records: Sequence[ForceRecord],
+    own: Sequence[Array],
+    unlisted: bool = False,
 ) -> list[Array]:
     """Return what the model's columns `own` (C, rows, n) and a free form leave of each record.
 
@@ -50,7 +55,7 @@ def residual_of_richest(
         b = np.concatenate([m[:, i : i + 1] for m in missing])
         A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
         U, size, _ = np.linalg.svd(A, full_matrices=False)
-        U = U[:, size > 1e-8 * size[0]]
+        U = U[:, size > _RANK * size[0]]
         # Short records determine only some combinations: those that explain most.
         most = max(int(independent / _ROWS_PER_NUMBER), 1)
         U = U[:, np.argsort(-np.abs(U.T @ b)[:, 0])[:most]]
@@ -73,14 +78,57 @@ def _columns(record: ForceRecord, point: ForceModel, unlisted: bool) -> Array:
     """Return the columns of the form (rows, C)."""
     s = record.signals
     forces = _forms(s, unlisted)
-    found = [record.band.smoothed(np.stack(forces, axis=1))]
+    found = [_smoothed(record, forces)]
     for held in _held_forms(s):
         found.append(record.force_of_command(point.model, held))
     return np.hstack(found)
 
 
-def _forms(s: Signals, unlisted: bool) -> list[Array]:
-    motion = [*_scaled(s.q), *_scaled(s.qd)]
+def foretold(
+    point: ForceModel, records: Sequence[ForceRecord], own: Sequence[Array], blocks: int
+) -> Array:
+    """Return the RMS force that linear terms leave, and that a form of the motion leaves (2, n), of
+    blocks of time that did not fit them.
+
+    Both are beside the model's columns `own`. The form has no command: a random force moves all
+    signals of a linear plant in its loop, and normal numbers foretell each other linearly, so that
+    nothing but the command, which is left out, stands for a command.
+    """
+    missing = [r.varying(r.missing_force(point)) for r in records]
+    number = np.concatenate([np.arange(r.rows) * blocks // r.rows for r in records])
+    found = np.zeros((2, missing[0].shape[1]))
+    kinds = ([_smoothed(r, form(r.signals)) for r in records] for form in (_linear, _of_motion))
+    for (k, whole), i in product(enumerate(kinds), range(found.shape[1])):
+        columns = [
+            _varying(np.hstack([w, c[:, :, i].T]), r.moves[:, i : i + 1])
+            for r, w, c in zip(records, whole, own, strict=True)
+        ]
+        A, b = np.vstack(columns), np.concatenate([m[:, i] for m in missing])
+        A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
+        rest = np.empty_like(b)
+        for held in (number % 2 == 0, number % 2 == 1):
+            rest[held] = b[held] - A[held] @ np.linalg.lstsq(A[~held], b[~held], rcond=_RANK)[0]
+        found[k, i] = np.sqrt(np.mean(rest**2))
+    return found
+
+
+def _smoothed(record: ForceRecord, forces: Sequence[Array]) -> Array:
+    """Return forces below the band's limit (rows, C)."""
+    return np.asarray(record.band.smoothed(np.stack(forces, axis=1)))
+
+
+def _linear(s: Signals) -> list[Array]:
+    """Return each position and speed."""
+    return [*_scaled(s.q), *_scaled(s.qd)]
+
+
+def _of_motion(s: Signals) -> list[Array]:
+    """Return the form without commands."""
+    return _forms(s, unlisted=True, commands=False)
+
+
+def _forms(s: Signals, unlisted: bool, commands: bool = True) -> list[Array]:
+    motion = _linear(s)
     found = []
     for x in motion:
         found += list(_polynomials(x, _DEGREE))
@@ -89,8 +137,7 @@ def _forms(s: Signals, unlisted: bool) -> list[Array]:
         for turn in _TURNS:
             rubs = np.tanh(speed / (turn * rms))
             found += [rubs, *(rubs * _polynomials(place, _ALONG) if unlisted else ())]
-    acting = _scaled(s.acting(s.coil))
-    every = [*motion, *acting]
+    every = [*motion, *(_scaled(s.acting(s.coil)) if commands else ())]
     for a in range(len(every)):
         for b in range(a):
             found.append(every[a] * every[b])

@@ -63,13 +63,14 @@ class ForceTrace:
     declared: the refitted model without new effects; found: the search's result; errors: standard
     errors of its numbers, correlations (K, K) theirs; force_errors: relative ones of the forces of
     each effect's amplitudes, in the point's order. before, after: errors on the reported rows.
-    left, free_form (n,): what the model and what a free form of all signals leave of the acting
-    force in the fitted rows, in per cent; the latter nan where all terms of an equation are free.
-    left_share: for each effect found, the
-    share of the squared missing force without it that is left with it, of what such a form
-    explains. curves: free forms of a law's signal that surely improve on it, by the law's identity.
-    noise_sd (n,): of each output; noise_stated: whether the signals files state it. fitted,
-    reported: the records below the band's limit `limit_hz`.
+    free_form (n,): what a free form of all signals leaves of the acting force in the fitted rows,
+    in per cent, nan where all terms of an equation are free. unseen (2, n): what linear terms and
+    what a form of the motion leave of blocks that did not fit them. left_share: for each effect
+    found, the share of the squared missing force without it that is left with it, of what such a
+    form explains; leaning: the same without the effects in doubt. curves: free forms of a law's
+    signal that surely improve on it, by the law's identity. noise_sd (n,): of each output;
+    noise_stated: whether the signals files state it. fitted, reported: the records below the band's
+    limit `limit_hz`.
     """
 
     config: ModelConfig
@@ -81,9 +82,10 @@ class ForceTrace:
     force_errors: Sequence[Array]
     before: tuple[ReportedError, ...]
     after: tuple[ReportedError, ...]
-    left: Array
     free_form: Array
+    unseen: Array
     left_share: tuple[float, ...]
+    leaning: tuple[float, ...]
     curves: Mapping[str, Rated]
     noise_sd: Array
     noise_stated: bool
@@ -202,8 +204,8 @@ def _traced(
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors, before,
-        after, 100.0 * last.left, 100.0 * last.form, last.left_share, curves, sd, stated, limit_hz,
-        fitted, reported,
+        after, 100.0 * last.form, 100.0 * last.unseen, last.left_share, last.leaning, curves, sd,
+        stated, limit_hz, fitted, reported,
         (*notes, *held, *table.notes, *_at_limits(found.point), *_held(found.point)), options,
     )  # fmt: skip
 

@@ -41,6 +41,7 @@ KEYS = (
     "backlash.dead_zone_spring",
     "backlash.play",
     "cogging.position",
+    "cogging.position.another",
     *(f"magnetic_force.{law}.{way}" for law in ("i2_y2", "i1_y4", "i2_y4")
       for way in ("opens", "closes")),
     "actuator.squared",
@@ -199,6 +200,7 @@ LAWS: dict[str, Law] = {
     "backlash.dead_zone_spring": dead_zone_spring,
     "backlash.play": play,
     "cogging.position": cogging,
+    "cogging.position.another": cogging,
     **{
         f"magnetic_force.i{a}_y{b}.{way}": magnet(a, b, sign)
         for a, b in ((2, 2), (1, 4), (2, 4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,9 +11,13 @@ import pytest
 
 from levid.config.base import parse_text
 from levid.config.model import EffectParameter, ModelConfig
-from levid.identification.trace.force_regression import force_trace_summary
+from levid.identification.greybox.declared_model_from_config import declared_model
+from levid.identification.greybox.free_parameters import free_parameters
+from levid.identification.trace.force_regression import certainty_of_effects, force_trace_summary
+from levid.identification.trace.force_regression.force_record import ForceModel
 from levid.identification.trace.force_regression.force_trace_summary import FoundLaw
 from levid.identification.trace.force_regression.rated_candidate import Rated
+from levid.identification.trace.force_regression.search import Searched
 from levid.identification.trace.records.record_from_log import imported_places
 from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Placed
@@ -32,7 +37,21 @@ K: [[1.0]]
 def found(rated: Rated, numbers: dict[str, EffectParameter], floors: float = np.nan) -> FoundLaw:
     """Return a law that nothing but its numbers, or the free run, puts in doubt."""
     return FoundLaw(
-        rated, numbers, 1.0, (), (), 0.0, 0.1, None, (False, False), floors, True, 3.0, 6.0, 0.02
+        rated,
+        numbers,
+        1.0,
+        (),
+        (),
+        0.0,
+        0.0,
+        0.1,
+        None,
+        (False, False),
+        floors,
+        True,
+        3.0,
+        6.0,
+        0.02,
     )
 
 
@@ -122,7 +141,10 @@ def left_with(left: list[float], form: list[float]) -> Any:
     """Return what a trace of two DOF says of the force in the fitted rows, in per cent."""
     places = SimpleNamespace(dof=("x", "y"))
     return SimpleNamespace(
-        options=SearchOptions(), places=places, left=np.array(left), free_form=np.array(form)
+        options=SearchOptions(),
+        places=places,
+        unseen=np.array([left, form]),
+        free_form=np.array(form),
     )
 
 
@@ -140,3 +162,51 @@ def test_a_dof_lacks_what_a_free_form_takes_if_it_matters() -> None:
     # Of 8.5 % a half; of 0.5 % as well, but that is less than equations are right to.
     assert lacking(left_with([8.5, 0.5], [6.0, 0.35])) == {"x": pytest.approx(0.502, abs=1e-3)}
     assert lacking(left_with([8.5, 8.5], [8.0, np.nan])) == {}
+
+
+def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -> None:
+    config = parse_text(MODEL, ModelConfig, "arm")
+    table = {e.key: e for e in all_effects(imported_places(config))}
+    lag = Placed(table["actuator_lag"], (0.02,), (0.02,))
+    mass = Placed(table["flexible_mode.loose_mass"], (6.5, 0.3), (0.1,))
+    drag = Placed(table["damping.quadratic"], (), (1.0,))
+    placed = (lag, mass, drag)
+    rated = tuple(Rated(p, None, 0.1) for p in placed)  # type: ignore[arg-type]
+    point = ForceModel(declared_model(config), free_parameters(config), placed)
+    asked = []
+
+    def left(found: Searched, *_: Any) -> tuple[float, ...]:
+        """Without the mass the lag leaves much; the drag never does."""
+        keys = [r.placed.effect.key for r in found.rated]
+        asked.append(keys)
+        return tuple(0.75 if key == "actuator_lag" else 0.0 for key in keys)
+
+    monkeypatch.setattr(certainty_of_effects, "_left_share", left)
+    training: Any = SimpleNamespace(fit=lambda at: at)
+    found, told = Searched(point, rated, (), ()), [np.array([0.01])] * 3
+
+    def leaning(shares: tuple[float, ...]) -> tuple[float, ...]:
+        return certainty_of_effects._leaning(
+            found, training, np.zeros(1), SearchOptions(), shares, told
+        )
+
+    assert leaning((0.05, 0.21, 0.0)) == (0.75, 0.0, 0.0)
+    assert asked == [["actuator_lag", "damping.quadratic"], ["damping.quadratic"]]
+    assert leaning((0.05, 0.05, 0.0)) == (0.0, 0.0, 0.0)  # nothing is in doubt
+    law = replace(law_of("actuator_lag"), leaning=0.75)
+    assert law.doubts == ("without what is in doubt, 75 % is left beside it",)
+
+
+def law_of(key: str) -> FoundLaw:
+    """Return a law of its first shape that nothing puts in doubt."""
+    (effect,) = (
+        e
+        for e in all_effects(imported_places(parse_text(MODEL, ModelConfig, "arm")))
+        if e.key == key
+    )
+    rated = Rated(Placed(effect, effect.grid[0], (effect.grid[0][0],)), None, 0.1)  # type: ignore[arg-type]
+    numbers = {
+        q.name: EffectParameter(value=0.02, unit=q.unit, se=1e-3)
+        for q in (*effect.amplitudes, *effect.shape)
+    }
+    return found(rated, numbers)

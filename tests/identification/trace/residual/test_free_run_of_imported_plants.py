@@ -114,6 +114,12 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
             0.3 * np.sin(2 * np.pi * q / 0.4) + 0.2 * np.cos(2 * np.pi * q / 0.4)
         ),
     ),
+    "cogging.position.another": (
+        (0.3, 0.2), (0.4,),
+        lambda: lambda q, v, u: (
+            0.3 * np.sin(2 * np.pi * q / 0.4) + 0.2 * np.cos(2 * np.pi * q / 0.4)
+        ),
+    ),
     "magnetic_force.i2_y2.opens[0,0]": (
         (1.0,), (2.5, 20.0), lambda: magnet(1.0, 2.5, 20.0, 1.0, 2, 2),
     ),

@@ -40,7 +40,8 @@ def place_in_words(where: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class _Words:
-    """Give the fields of a clause: {at} the place, {s} the verb's s, others a parameter."""
+    """Give the fields of a clause: {at} the place, {actuator} the same of one that a user named,
+    {s} the verb's s, others a parameter."""
 
     effect: Effect
     parameters: Parameters
@@ -48,6 +49,9 @@ class _Words:
     def __getitem__(self, field: str) -> str | _Parameter:
         if field == "at":
             return place_in_words(self.effect.where)
+        if field == "actuator":
+            ours = self.effect.where[0].startswith("coil:")
+            return ("" if ours else "the actuator ") + place_in_words(self.effect.where)
         if field == "s":
             return "s" if len(self.effect.where) == 1 else ""
         return _Parameter(self.parameters.get(field))
@@ -92,6 +96,7 @@ _CLAUSES = {
     "stiffness.one_sided": "a contact adds stiffness to one side of {at}",
     "air_damping.linear": "the damping of {at} is {d:higher|lower} than declared",
     "air_damping.across": "damping couples {at}",
+    "damping.across": "damping couples {at}",
     "air_damping.drag": "drag that grows with the speed squared acts on the platform",
     "air_damping.squeeze_film": "the air film below the platform changes the damping",
     "air_damping.quadratic": "drag that grows with the speed squared acts on {at}",
@@ -110,6 +115,7 @@ _CLAUSES = {
     "friction.lugre": "friction with an elastic start acts on {at}",
     "friction.maxwell_slip": "friction with an elastic start acts on {at}",
     "friction.along_position": "dry friction on {at} varies along the position, every {pitch}",
+    "friction.stribeck": "dry friction of {friction}, at rest {peak} more, acts on {at}",
     "friction.": "dry friction of {friction} acts on {at}",
     "flexible_mode.loose_mass.another": "another mass on a spring vibrates at {frequency} on {at}",
     "flexible_mode.loose_mass": "a mass on a spring vibrates at {frequency} on {at}",
@@ -138,8 +144,8 @@ _CLAUSES = {
     "actuator_lag": "the force of {at} lags by {lag}",
     "delay": "the force of {at} is {delay} late",
     "rate_limit": "the force of {at} follows by at most {rate}",
-    "dead_zone": "{at} give{s} no force at small commands",
-    "saturation": "{at} give{s} less force at large commands",
+    "dead_zone": "{actuator} give{s} no force at small commands",
+    "saturation": "{actuator} give{s} less force at large commands",
     "force_offset.drift": "the force of {at} drifts",
     "thermal_drift.": "the force of {at} changes as it warms",
     "sensor_gain.relative": "the gains of the sensors differ",
@@ -154,7 +160,7 @@ _CLAUSES = {
     "arm_length.": "the arm lengths are {arm:%} {arm:longer|shorter} than declared",
     "vibration.reading": "the readings of {at} have a hum of {frequency}",
     "vibration.": "a vibration of {frequency} acts on {at}",
-    "backlash.": "{at} has a gap of twice {half}",
+    "backlash.": "a gap of twice {half} is at {at}",
     "magnetic_force": "the magnetic force on {at} changes with the gap",
     "actuator.crosstalk": "a part of one command acts at the other input ({at})",
     "actuator.asymmetric": "the gain of {at} differs between the two directions",

@@ -98,10 +98,15 @@ class Certainty:
         }
         for rated, left in zip(self.found.rated, self.left_share, strict=True):
             identity = rated.placed.effect.identity
-            told = np.any(options.standard_errors * errors[identity] < 1.0)
-            if not rated.free and left > 0.5 and not told:
+            if not rated.free and left > 0.5 and not is_told(errors[identity], options):
                 return identity
         return None
+
+
+def is_told(force_errors: Array, options: SearchOptions) -> bool:
+    """Return whether one of an effect's forces, of these relative errors (amplitudes,), is told
+    from zero."""
+    return bool(np.any(options.standard_errors * force_errors < 1.0))
 
 
 def without_effect(found: Searched, identity: str, training: Training) -> Searched:
@@ -197,7 +202,7 @@ def _leaning(
     doubtful = {
         one
         for one, share in shares.items()
-        if share > options.least_gain or not np.any(options.standard_errors * errors[one] < 1.0)
+        if share > options.least_gain or not is_told(errors[one], options)
     }
     leaning = dict.fromkeys(shares, 0.0)
     while doubtful and len(doubtful) < len(shares):

@@ -15,6 +15,7 @@ from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from ...json_data import plain_json
 from ..parameter_covariance import parameter_covariance
+from .certainty_of_effects import is_told
 from .free_numbers import by_value, numbers_of
 from .rated_candidate import Rated
 from .reported_errors import PooledError
@@ -296,10 +297,10 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
 
 
 def _lacking(trace: ForceTrace) -> dict[str, float]:
-    """Return, by DOF, the share of the squared missing force that a free form foretells, if it
-    matters.
+    """Return, by DOF, the share of the squared missing force that a function of motion foretells.
 
-    It does as one that is added: it takes `least_free_gain`, and `least_force` of the inputs'.
+    DOF are left out where it is less than a free form has to take to be added: `least_free_gain` of
+    the squares, and `least_force` of the inputs' force.
     """
     options, found = trace.options, {}
     for name, left, form in zip(trace.places.dof, *trace.unseen, strict=True):
@@ -486,7 +487,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.curves.get(rated.placed.effect.identity),
                 grew,
                 floors,
-                bool(np.any(surely * errors[rated.placed.effect.identity] < 1.0)),
+                is_told(errors[rated.placed.effect.identity], trace.options),
                 surely,
                 trace.options.agreement,
                 trace.options.alike,

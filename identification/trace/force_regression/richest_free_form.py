@@ -90,9 +90,10 @@ def foretold(
     """Return the RMS force that linear terms leave, and that a form of the motion leaves (2, n), of
     blocks of time that did not fit them.
 
-    Both are beside the model's columns `own`. The form has no command: a random force moves all
-    signals of a linear plant in its loop, and normal numbers foretell each other linearly, so that
-    nothing but the command, which is left out, stands for a command.
+    own (C, rows, n): columns of the model for each record, beside which both are fitted. blocks:
+    into how many each record is cut. A random force moves all signals of a linear plant in its
+    loop, but normal numbers foretell each other linearly: beyond linear terms the motion foretells
+    nothing of it. Functions of the command would stand for the command, which must not be free.
     """
     missing = [r.varying(r.missing_force(point)) for r in records]
     number = np.concatenate([np.arange(r.rows) * blocks // r.rows for r in records])

@@ -14,6 +14,7 @@ from scipy.signal import welch
 
 from ....model.effects.rotor import pushes
 from ...greybox.experiment.intersample_input import held_step, lagged_input
+from ..records.effect_signals import products
 from .innovations_filter_bank import thinned
 from .linearisation_point import Along
 
@@ -95,16 +96,9 @@ def _accelerations(here: Along) -> Array:
     step = held_step(e.Ts_s, 1, e.delay_cycles * e.Ts_s, s.lag_s)
     given = e.u if here.added.held is None else e.u + here.added.held
     acting = lagged_input(given, step) if s.lag_s > 0.0 else s.acting(given)
-    pushed, moved = _products(at.B, acting), _products(at.K, s.q) + _products(at.D, s.qd)
+    pushed, moved = products(at.B, acting), products(at.K, s.q) + products(at.D, s.qd)
     own = np.broadcast_to(at.drift[:, 0] / e.Ts_s, s.q.shape)  # means over the following period
     now = 0.5 * (own + np.vstack([own[:1], own[:-1]]))
     if here.added.force is not None:
-        now = now + _products(at.mobility, here.added.force)
+        now = now + products(at.mobility, here.added.force)
     return np.asarray(pushed - moved + now)
-
-
-def _products(matrices: Array, vectors: Array) -> Array:
-    """Return matrices (1 or N, n, m) times vectors (N, m)."""
-    if len(matrices) == 1:
-        return np.asarray(vectors @ matrices[0].T)
-    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

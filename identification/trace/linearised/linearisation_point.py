@@ -76,7 +76,8 @@ class Along:
     every: int
     sd: float
     bases: dict[int, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """Of the drives' forces for this motion, by decimation, once they were asked for."""
+    """Orthonormal bases (N', .) of the drives' forces that this motion needs, by decimation; each
+    is computed when it is first asked for."""
 
 
 def thinning(Ts_s: float) -> int:

@@ -32,6 +32,7 @@ _DIFFERENCE_STEP = 1e-5
 _MAX_NUMBERS = 50_000_000
 """Numbers in the candidates' columns at one time, 0.4 GB: those of 100 s at 1 kHz."""
 _ROWS = 256
+"""Rows that are projected at once: those of some hundred columns fit into a processor's cache."""
 _ROUNDING = 1e-9
 """Residual of a column, over its size, below which it is rounding."""
 
@@ -160,10 +161,7 @@ def _unknown_basis(point: WorkingPoint, here: Along, bank: FilterBank) -> Array:
 
 
 def _project_out(columns: Array, basis: Array) -> None:
-    """Project an orthonormal basis out of many columns, in place.
-
-    Some rows at a time, as many as the processor's cache holds.
-    """
+    """Project an orthonormal basis (N', .) out of many columns (N', c), in place."""
     inner = basis.T @ columns
     for first in range(0, len(columns), _ROWS):
         some = slice(first, first + _ROWS)

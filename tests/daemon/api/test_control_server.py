@@ -248,13 +248,18 @@ def test_stop_of_a_disconnected_client_is_executed(bench: Bench, before: bytes) 
 
 @pytest.mark.parametrize("line", [b"", b"stop", b'{"op": "echo"}'])
 def test_flood_of_a_disconnected_client_delays_no_other(bench: Bench, line: bytes) -> None:
+    """Parsing the lines would take seconds. The machine may stand still, but not every time."""
     flood = (line + b"\n") * (1_900_000 // (len(line) + 1))
-    with bench.connect() as connection:
-        connection.sendall(b'{"op": "wait"}\n' + flood)
-    began_s = time.monotonic()
-    assert bench.gone.wait(_GIVE_UP_S)
-    assert works(bench)
-    assert time.monotonic() - began_s < 0.7
+    took_s = []
+    for _ in range(5):
+        bench.gone.clear()
+        with bench.connect() as connection:
+            connection.sendall(b'{"op": "wait"}\n' + flood)
+        began_s = time.monotonic()
+        assert bench.gone.wait(_GIVE_UP_S)
+        assert works(bench)
+        took_s.append(time.monotonic() - began_s)
+    assert min(took_s) < 0.7
 
 
 def test_remaining_lines_are_searched_for_words() -> None:

@@ -74,6 +74,7 @@ K: [[0]]
 FRICTION, COGGING, DRAG = ("friction", ("x",)), ("cogging", ("x",)), ("damping", ("x",))
 GAP, CUBIC = ("backlash", ("q1 - q2",)), ("stiffness", ("q1 - q2",))
 SOFT = ("flexible_mode", ("q1",))
+UNSEEN_GAP = ("backlash", ("q1",))
 
 
 @dataclass(frozen=True)
@@ -107,14 +108,16 @@ def _stage(rng: np.random.Generator, **shares: float) -> Stage:
     )
 
 
-def _shaft(rng: np.random.Generator, half: float = 0.0, k3: float = 0.0) -> Shaft:
+def _shaft(
+    rng: np.random.Generator, half: float = 0.0, k3: float = 0.0, damped: float = 1.0
+) -> Shaft:
     j1 = rng.uniform(6e-4, 1.2e-3)
     return Shaft(
         j1=j1,
         j2=j1 * rng.uniform(0.8, 1.6),
         d1=rng.uniform(1.5e-3, 3e-3),
         k=rng.uniform(12.0, 30.0),
-        c=rng.uniform(0.008, 0.016),
+        c=damped * rng.uniform(0.008, 0.016),
         half=half * rng.uniform(0.7, 1.4),
         k3=k3 * rng.uniform(0.7, 1.4),
     )
@@ -138,6 +141,12 @@ KINDS = {
     "gap": Kind(SHAFT, frozenset({GAP}), partial(_shaft, half=5e-3), {"half": "half"}, 2),
     "cubic shaft": Kind(SHAFT, frozenset({CUBIC}), partial(_shaft, k3=3e3), {"k3": "k3"}, 2),
     "motor of a soft shaft": Kind(MOTOR, frozenset({SOFT}), _shaft, {}),
+    "motor of a shaft with a gap": Kind(
+        MOTOR,
+        frozenset({UNSEEN_GAP}),
+        partial(_shaft, half=3e-3, damped=4.0),
+        {"half": "half", "m": "j2"},
+    ),
 }
 
 

@@ -22,7 +22,7 @@ from .lag_and_hysteresis_recursions import oscillator, smooth_oscillator
 from .operating_range import Extent
 from .point_force_conversion import forces
 
-_LOOSE = "flexible_mode.loose_mass"
+LOOSE_MASS = "flexible_mode.loose_mass"
 PATTERNS = ("twist", "saddle", "dome", "wave_x", "wave_y", "egg_box")
 _RIGID = ("rigid_1", "rigid_2", "rigid_3")
 _MODES_HZ = (25.0, 45.0, 80.0, 140.0, 280.0)
@@ -45,7 +45,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     for (i, dof), at in product(enumerate(places.dof), range(number)):
         found.append(
             Effect(
-                _LOOSE + (".another" if at else ""),
+                LOOSE_MASS + (".another" if at else ""),
                 "Another mass on a spring" if at else "Mass on a spring",
                 "flexible_mode",
                 (dof,),
@@ -60,7 +60,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 ),
                 absorbed_by="far below its frequency: mass",
                 told_apart_by="excitation up to its frequency",
-                beside=_LOOSE if at else "",
+                beside=LOOSE_MASS if at else "",
             )
         )
     return found

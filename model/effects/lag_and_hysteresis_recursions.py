@@ -261,17 +261,28 @@ def yielding(
 
 
 def between_stops(
-    q: Array, qd: Array, pull: Array, w: float, zeta: float, half: float, Ts_s: float
+    q: Array,
+    qd: Array,
+    pull: Array,
+    w: float,
+    zeta: float,
+    half: float,
+    Ts_s: float,
+    lets_go: bool = True,
+    slowing: float = 0.0,
 ) -> tuple[Array, Array]:
     """Return shift x of a unit mass between two stops, and the contact force on it (N,).
 
-    x'' = pull - q'' - f, f = w^2 p + 2 zeta w x', p = x - clip(x, -half, half); a contact does not
-    pull: f is zero where it has not the sign of p. The mass starts in the middle, or in equilibrium
-    on the stop to which it is pulled. Integration as in `yielding`.
+    x'' = pull - q'' - f - slowing (q' + x'), f = w^2 p + 2 zeta w x' where p = x - clip(x, -half,
+    half) is not zero. If it `lets_go`, a contact does not pull: f is zero where it has not the sign
+    of p. The mass starts in the middle, or in equilibrium on the stop to which it is pulled.
+    Integration as in `yielding`.
     """
     parts = max(math.ceil(w * Ts_s / _RADIANS), 1)
     q, qd, pull = (np.ascontiguousarray(v) for v in (q, qd, pull))
-    shift, contact = _between_stops(q, qd, pull, w, zeta, half, Ts_s / parts, parts)
+    shift, contact = _between_stops(
+        q, qd, pull, w, zeta, half, Ts_s / parts, parts, lets_go, slowing
+    )
     return np.asarray(shift), np.asarray(contact)
 
 
@@ -457,11 +468,11 @@ def _yielding(q, qd, pull, w, zeta, slips, dt_s, parts):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
-def _between_stops(q, qd, pull, w, zeta, half, dt_s, parts):  # type: ignore[no-untyped-def]
+def _between_stops(q, qd, pull, w, zeta, half, dt_s, parts, lets_go, slowing):  # type: ignore[no-untyped-def]
     shift, contact = np.empty_like(q), np.empty_like(q)
     x = half * np.sign(pull[0]) + pull[0] / (w * w)
     p, rate = q[0] + x, qd[0]
-    damp = zeta * w * dt_s
+    damp, slow = zeta * w * dt_s, 0.5 * slowing * dt_s
     for k in range(len(q)):
         later = min(k + 1, len(q) - 1)
         for i in range(parts):
@@ -469,13 +480,13 @@ def _between_stops(q, qd, pull, w, zeta, half, dt_s, parts):  # type: ignore[no-
             carrier = qd[k] + share * (qd[later] - qd[k])
             outer = pull[k] + share * (pull[later] - pull[k])
             pressed = x - min(max(x, -half), half)
-            rate = before + dt_s * outer
+            rate = ((1 - slow) * before + dt_s * outer) / (1 + slow)
             force = 0.0
             if pressed != 0.0:
-                touching = (1 - damp) * before + dt_s * (outer - w * w * pressed)
-                touching = (touching + 2 * damp * carrier) / (1 + damp)
+                touching = (1 - damp - slow) * before + dt_s * (outer - w * w * pressed)
+                touching = (touching + 2 * damp * carrier) / (1 + damp + slow)
                 force = w * w * pressed + 2 * zeta * w * (0.5 * (before + touching) - carrier)
-                if force * pressed > 0.0:
+                if force * pressed > 0.0 or not lets_go:
                     rate = touching
                 else:
                     force = 0.0

@@ -71,8 +71,9 @@ def answer(clauses: Sequence[Clause], rest: str) -> str:
         sentences.append(_sentence(listed(named)))
     for clause in clauses:
         if clause.others:
-            either = f"either {clause.text}, or the cause is: {listed(list(clause.others))}"
-            sentences.append(_sentence(f"{either}; these records cannot tell which"))
+            first = "perhaps" if clause.doubtful else "either"
+            other = f"{first} {clause.text}, or the cause is: {', or '.join(clause.others)}"
+            sentences.append(_sentence(f"{other}; these records cannot tell which"))
         elif clause.free:
             sentences.append(
                 _sentence(f"an unknown effect remains, described by a free form: {clause.text}")

@@ -160,6 +160,7 @@ _CLAUSES = {
     "arm_length.": "the arm lengths are {arm:%} {arm:longer|shorter} than declared",
     "vibration.reading": "the readings of {at} have a hum of {frequency}",
     "vibration.": "a vibration of {frequency} acts on {at}",
+    "backlash.load": "{at} moves a load behind a gap of twice {half}",
     "backlash.": "a gap of twice {half} is at {at}",
     "magnetic_force": "the magnetic force on {at} changes with the gap",
     "actuator.crosstalk": "a part of one command acts at the other input ({at})",

@@ -91,10 +91,16 @@ class Beside:
         amplitudes = _amplitudes(effect, X, left, self.rest, told)
         shrinks = self.training.counts(self.at, amplitudes, pull)
         if np.any(shrinks):
-            pull = np.where(shrinks, pull, 0.0)
+            counted = np.where(shrinks, pull, 0.0)
             pairs = zip(forces, self.at.missing, strict=True)
-            left = self.without(flat([f + pull[:, None, :] * m for f, m in pairs]))
-            amplitudes = _amplitudes(effect, X, left, self.rest, told)
+            also = self.without(flat([f + counted[:, None, :] * m for f, m in pairs]))
+            found = _amplitudes(effect, X, also, self.rest, told)
+            if np.all(self.training.counts(self.at, found, pull) == shrinks):
+                left, amplitudes = also, found
+            else:
+                # It would gain by forces that grow, which count for no more than they are: at the
+                # edge between the two it does nothing.
+                amplitudes = np.zeros_like(amplitudes)
         return _Fit(X, left, amplitudes, np.asarray(self.rest - left @ amplitudes))
 
 

@@ -83,7 +83,7 @@ class Influences:
     ) -> Influences:
         """Return the influences on a model that was fitted to `training`, with `instruments`."""
         at = training.at(point)
-        columns = training.columns(at, training.group_columns(at))
+        columns = training.columns_at(point)
         size = np.linalg.norm(flat(columns), axis=0)
         values = np.abs(numbers(point))
         values[: len(point.values)] = 1.0  # columns of parameters are in their scale

@@ -113,7 +113,7 @@ def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed
     """Return the gain of an effect beside `rest` over the model of `whole`."""
     training, more = rest.training, numbers_of(placed)
     changes = training.effect_changes(rest.at, placed)
-    own = training.effect_columns(rest.at, placed, changes)
+    own = training.effect_columns(rest.at, changes)
     columns, groups = (
         [np.concatenate(pair) for pair in zip(old, new, strict=True)]
         for old, new in ((rest.own, own), (rest.groups, changes))
@@ -143,7 +143,7 @@ def _force_share(
     """
     one, other = whole.plain, rest.plain
     changes = other.training.effect_changes(other.at, placed)
-    more = other.training.effect_columns(other.at, placed, changes)
+    more = other.training.effect_columns(other.at, changes)
     columns = [np.concatenate(pair) for pair in zip(other.own, more, strict=True)]
     before = missing_after(coefficients[0], one.own, one.at.missing)
     after = missing_after(coefficients[1], columns, other.at.missing)

@@ -112,7 +112,12 @@ def _grown(
             continue
         before, after = state, _with_best(state, nearest, named, training, options)
         if after is None:
-            break
+            # What blocks confirm, and the fit of the whole model does not, is no candidate.
+            others = [r for r in nearest if not confirmed(r, options)]
+            if len(others) < len(nearest):
+                after = _with_two_at_once(state, others, named, training, options)
+            if after is None:
+                break
         state = _without_idle(after, training, options)
         undecided = [k for k, r in state.rated.items() if r.alternatives and k in before.rated]
         told = _against_rivals(state, undecided, named, training, options)
@@ -129,11 +134,12 @@ def _with_two_at_once(
     training: Training,
     options: SearchOptions,
 ) -> _State | None:
-    """Return the state with the effect that gains most and another one, if they need each other.
+    """Return the state with the effect that gains most although a record contradicts it, if the fit
+    of the whole model with it ends where none does, or beside another one that it needs.
 
-    While two effects are missing, what one record says of one of them may be mostly the other: so
-    an effect that only another record contradicts is tried. Both count if both are confirmed
-    beside each other, by the same criterion as all.
+    With a large effect missing, the model's numbers are far off, and so is what they let a record
+    say. While two effects are missing, what one record says of one of them may be mostly the other.
+    Each counts if it is confirmed in the end, by the same criterion as all.
     """
     first = ranking[0] if ranking else None
     if first is None or first.gain.elsewhere or not confirmed_here(first, options):
@@ -149,12 +155,39 @@ def _with_two_at_once(
         state.dropped,
         (*state.not_taken, ()),
     )
+    by_itself = _confirmed_where_it_fits(state, alone.point, first, named, training, options)
+    if by_itself is not None:
+        return by_itself
     ranking = _ranking(alone, named, training, options)
     after = _with_best(alone, ranking, named, training, options)
     if after is None:
         return None
     both = _without_idle(after, training, options)
     return both if len(both.rated) == len(after.rated) > len(state.rated) + 1 else None
+
+
+def _confirmed_where_it_fits(
+    state: _State,
+    fitted: ForceModel,
+    first: Rated,
+    named: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+) -> _State | None:
+    """Return the state with an effect that is confirmed beside the numbers that fit with it.
+
+    fitted: the model with the effect, the last one.
+    """
+    rest = replace(fitted, placed=fitted.placed[:-1])
+    beside = Beside.of(rest, training)
+    there = rated_beside(beside, beside, fitted.placed[-1], None)
+    kept = replace(state, point=rest, rated=_without_replaced(state, first))
+    after = _with_best(kept, [there], named, training, options)
+    if after is None:
+        return None
+    plain = training.plain()
+    lowered = missing_share(plain.at(state.point)) - missing_share(plain.at(after.point))
+    return after if lowered.max() > options.least_force else None
 
 
 def _with_another_choice(

@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
 from .force_record import ForceModel, ForceRecord
-from .free_numbers import Shape, amplitudes_of, moved_by, numbers_of, room, shapes_beside, way
+from .free_numbers import Shape, moved_by, numbers_of, room, shapes_beside, way
 from .held_out_gain import Blocks, Columns
 from .residual_whitening import Whitening
 
@@ -142,17 +142,17 @@ class Training:
         return found
 
     def effect_columns(
-        self, at: Evaluated, placed: Placed, changes: Sequence[Array]
+        self, at: Evaluated, changes: Sequence[Array], shrinks: bool = False
     ) -> list[Array]:
         """Return the columns of an effect's free numbers, each record (c, rows, n).
 
-        changes: those of `effect_changes`.
+        changes: those of `effect_changes`. Columns are changes of its force. If it `shrinks`, they
+        are those of the error where the model's effects lower the force that sets the scale. These
+        hold for short ways only: far along them, two numbers of one force would cancel all error.
         """
         forces, pull = self._forces_of(at, changes)
-        count = amplitudes_of(placed)
-        amplitudes = np.array(placed.amplitudes)[:count]
-        shrinks = self.counts(at, amplitudes, pull[:count])
-        pull = np.where(shrinks, pull, 0.0)
+        counts = np.isfinite(self.reference) | (shrinks & (at.share > 1.0))
+        pull = np.where(counts, pull, 0.0)
         return [f + pull[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)]
 
     def group_columns(self, at: Evaluated) -> list[Array]:
@@ -161,10 +161,10 @@ class Training:
         own = self._parameter_changes(at)
         return [np.concatenate([c, *(p[k] for p in parts)]) for k, c in enumerate(own)]
 
-    def columns(self, at: Evaluated, groups: Sequence[Array]) -> list[Array]:
+    def columns(self, at: Evaluated, groups: Sequence[Array], shrinks: bool = False) -> list[Array]:
         """Return the columns of all free numbers, each record (F + effects', rows, n).
 
-        Parameters count in their scale. groups: those of `group_columns`.
+        Parameters count in their scale. groups: those of `group_columns`. shrinks: as above.
         """
         begin = len(at.point.values)
         own, pull = self._forces_of(at, [g[:begin] for g in groups])
@@ -172,14 +172,14 @@ class Training:
         parts = [[f + pull[:, None, :] * m for f, m in zip(own, at.missing, strict=True)]]
         for p in at.point.placed:
             mine = slice(begin, begin + numbers_of(p))
-            parts.append(self.effect_columns(at, p, [g[mine] for g in groups]))
+            parts.append(self.effect_columns(at, [g[mine] for g in groups], shrinks))
             begin = mine.stop
         return [np.concatenate(of_record) for of_record in zip(*parts, strict=True)]
 
     def columns_at(self, point: ForceModel) -> list[Array]:
         """Return `columns` at the numbers of a model."""
         at = self.at(point)
-        return self.columns(at, self.group_columns(at))
+        return self.columns(at, self.group_columns(at), shrinks=True)
 
     def noise(self, point: ForceModel) -> Array:
         """Return the power (n,) that the noise of the outputs has in the missing force of a model.
@@ -361,7 +361,7 @@ class Training:
         """Return the columns of all free numbers (rows, C) and the missing force (rows,), and below
         both the parameters' priors."""
         at = self.at(point)
-        columns = self.columns(at, self.group_columns(at))
+        columns = self.columns(at, self.group_columns(at), shrinks=True)
         A = np.hstack([c.reshape(len(c), -1) for c in columns]).T
         b = np.concatenate([m.reshape(-1) for m in at.missing])
         rows = point.parameters.prior_rows(point.values)

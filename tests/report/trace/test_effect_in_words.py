@@ -112,4 +112,9 @@ def test_answer_says_what_is_sure_ambiguous_doubtful_and_left() -> None:
         "sensor 1 sticks. An unknown effect remains, described by a free form: Force at z over x. "
         "Nothing else is left: the remaining error is noise."
     )
+    doubted = Clause("u lags", ("Delay at u", "Lag of x"), doubtful=True)
+    assert answer([doubted], "Much is left.") == (
+        "Perhaps u lags, or the cause is: Delay at u, or Lag of x; these records cannot tell "
+        "which. Much is left."
+    )
     assert answer([], "The model explains all.") == "The model explains all."

@@ -25,7 +25,9 @@ from .operating_range import Extent
 
 _STARTS_HZ = (7.5, 15.0, 30.0, 60.0)
 """Start values of the frequency where no record bounds it."""
-_DAMPING, _SLOWING = 0.2, 2.0
+_DAMPING = 0.2
+_SLOWED = (0.03, 0.2)
+"""Start values of the slowing of the load, over the rate of the motion."""
 _GAPS = (0.003, 0.01, 0.03, 0.1)
 """Start values of half the gap, over the standard deviation of the motion: a gear's is small beside
 the turns of its motor. A fit finds its way over less than an octave of either number."""
@@ -56,8 +58,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     Quantity("slowing", "1/s", 0.01, 1000.0, log=True),
                 ),
                 tuple(
-                    (f_hz, _DAMPING, gap * reach, _SLOWING)
-                    for f_hz, gap in product(starts_hz, _GAPS)
+                    (f_hz, _DAMPING, gap * reach, slowed * extent.speed[i] / reach)
+                    for f_hz, gap, slowed in product(starts_hz, _GAPS, _SLOWED)
                 ),
                 absorbed_by="far below its frequency, with a gap far below the motion: mass",
                 told_apart_by="two amplitudes of excitation, up to its frequency",

@@ -46,6 +46,10 @@ def words_of(found: ForceTrace) -> list[str]:
         if name in names
     ]
     lines.append(f"model: {', '.join(values)}")
+    if result.lacks_something:
+        lines.append(
+            "  the model lacks something: these numbers may be wrong by more than their intervals"
+        )
     lines += [
         f"record {e.record}: the simulation with effects did not converge; its error is unreliable"
         for e in found.after

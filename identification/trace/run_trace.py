@@ -25,7 +25,7 @@ from .linearised.linearisation_point import WorkingPoint, with_likely_noise
 from .linearised.linearise_prediction_errors import blocks_in, linearise
 from .linearised.noise_removed_by_effects import noise_removed
 from .records.check_common_session_time import overlap, require_timeless
-from .records.coil_load_history import loads_of
+from .records.coil_load_history import in_one_session
 from .records.initial_guesses import extent
 from .records.read_records import read_records
 from .records.record_from_log import SHORTEST_S, TraceRecord, split
@@ -191,16 +191,8 @@ def _begin(
     progress("reading logs", 0.0)
     records, notes = read_records(logs, config)
     _require_known_loops(list(records.values()))
-    span = (
-        min(r.time_s[0] for r in records.values()),
-        max(r.time_s[-1] for r in records.values()),
-    )
     overlapping = overlap(list(records.values()))
-    loads = None if overlapping else loads_of(list(records.values()))
-    records = {
-        path: replace(r, places=replace(r.places, span_s=span, loads=loads))
-        for path, r in records.items()
-    }
+    records = dict(zip(records, in_one_session(list(records.values())), strict=True))
     train, held = split(list(records.values()))
     if not held:
         raise IdentificationError(
@@ -210,7 +202,8 @@ def _begin(
     require_noise(train)
     _require_enough(train)
     whole = {
-        r.name: RecordSource.of(path, 0, r.rows, span, loads, r.name) for path, r in records.items()
+        r.name: RecordSource.of(path, 0, r.rows, r.places.span_s, r.places.loads, r.name)
+        for path, r in records.items()
     }
     begin = {r.name: r.time_s[0] for r in records.values()}
 

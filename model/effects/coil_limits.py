@@ -2,12 +2,14 @@
 
 A bridge amplifier has a dead zone around zero. A magnetic circuit saturates softly, an amplifier
 hard (Mohan, Undeland, Robbins, *Power Electronics*, 2003, ch. 8): F / (1 + |F/limit|^p)^(1/p) is
-soft for p = 2 and hard for large p. Each coil carries about 8 N of weight, so the effect of a dead
-zone is visible only if a command reaches the zone. Signature: a force error that depends on one
-coil's command, equally at all frequencies: like a gain error at small amplitudes, with harmonics at
-large ones. On the rig, dead zone and saturation act on the force, after the coils' lag. Elsewhere
-they act on the command, and if the actuator has a lag they may act behind it: a valve's overlap
-does so on the spool, a magnet saturates by its current.
+soft for p = 2 and hard for large p. Of other plants than the rig a hyperbolic tangent is asked as
+well, with which magnetic circuits are often described (Takacs, *Mathematics of Hysteretic
+Phenomena*, 2003). Each coil carries about 8 N of weight, so the effect of a dead zone is visible
+only if a command reaches the zone. Signature: a force error that depends on one coil's command,
+equally at all frequencies: like a gain error at small amplitudes, with harmonics at large ones. On
+the rig, dead zone and saturation act on the force, after the coils' lag. Elsewhere they act on the
+command, and if the actuator has a lag they may act behind it: a valve's overlap does so on the
+spool, a magnet saturates by its current.
 """
 
 from __future__ import annotations
@@ -86,6 +88,24 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 before_lag="saturation" if twin else "",
             ),
         ]
+        if not places.beam:
+            found.append(
+                Effect(
+                    "saturation.tanh" + key,
+                    places.worded(f"Soft saturation of a coil{suffix}"),
+                    "saturation",
+                    where,
+                    "force = F - depth (F - limit tanh(F/limit))" + after,
+                    (Quantity("depth", "1", 0.0, 1.0),),
+                    partial(_soft_saturation, coils=coils, behind=behind),
+                    (Quantity("limit", unit, 0.1 * largest, 10 * largest, log=True),),
+                    tuple((share * largest,) for share in (1.0, *limits)),
+                    absorbed_by="not visible far below the limit",
+                    told_apart_by=places.worded(_TOLD_APART),
+                    shape_of_unit_amplitude=_whole_soft_saturation,
+                    before_lag="saturation.tanh" if twin else "",
+                )
+            )
     return found
 
 
@@ -106,6 +126,18 @@ def _saturation(
         return np.asarray(-F * np.expm1(-np.logaddexp(0.0, log_ratio) / hardness))
 
     return [_lost(signals, coils, lost, behind)]
+
+
+def _soft_saturation(
+    signals: Signals, shape: Sequence[float], *, coils: Coils, behind: bool
+) -> list[Term]:
+    limit = shape[0]
+    return [_lost(signals, coils, lambda F: F - limit * np.tanh(F / limit), behind)]
+
+
+def _whole_soft_saturation(depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:
+    """Return the shape with the same loss far below the limit: depth F (F / limit)^2 / 3."""
+    return (shape[0] / float(depth[0]) ** 0.5,) if depth[0] > 0.0 else tuple(shape)
 
 
 def _whole_dead_zone(_depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:

@@ -3,8 +3,9 @@
 A bent lead screw, a shaft that is not straight in its bearings and a guide with uneven preload rub
 more at some places than at others, once or a few times a revolution (Armstrong-Helouvry, *Control
 of Machines with Friction*, 1991, ch. 4, who measured it on a robot's joints). Start values of the
-period are the strongest lines over the position of what is missing times the direction. Signature:
-a force with the sign of the speed whose size depends on the position.
+period are the strongest lines over the position of what is missing times the direction. With the
+longest one, beyond the travel, friction grows from one end to the other, as on a rail that is not
+parallel. Signature: a force with the sign of the speed whose size depends on the position.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "force = -(friction + a sin(2 pi q / pitch) + b cos(2 pi q / pitch)) tanh(q'/v_s)",
                 (Quantity("friction", force, 0.0), Quantity("a", force), Quantity("b", force)),
                 partial(_along, dof=i),
-                (turning_speed(unit, speed), Quantity("pitch", unit, low, high, log=True)),
+                (
+                    turning_speed(unit, speed),
+                    Quantity("pitch", unit, low, high, log=True, ends=True),
+                ),
                 tuple((0.02 * speed, pitch) for pitch in pitches),
                 absorbed_by="at small amplitudes, damping",
                 told_apart_by="slow motion over the whole travel, in both directions",

@@ -26,8 +26,16 @@ def effect_in_words(effect: Effect, parameters: Parameters) -> str:
         if effect.key.startswith(start):
             if start == "coil_gain" and parameters["gain"].value < -1.0:
                 return f"the force of {words['at']} has the wrong sign"
+            if start == "friction.along_position" and _no_period(effect, parameters):
+                return f"the dry friction of {words['at']} changes along the position"
             return text.format_map(words)
     return effect.name
+
+
+def _no_period(effect: Effect, parameters: Parameters) -> bool:
+    """Return whether the pitch of a force is the longest that the records were searched for."""
+    (longest,) = (q.high for q in effect.shape if q.name == "pitch")
+    return parameters["pitch"].value >= longest
 
 
 def place_in_words(where: Sequence[str]) -> str:
@@ -130,7 +138,7 @@ _CLAUSES = {
     "beam_motion.": "the beam's motion pushes {at} otherwise than declared",
     "cable_pull.": "a cable of the beam pulls on {at}",
     "torque_ripple": "the force of {at} ripples over the position, every {pitch}",
-    "cogging.position.another": "the motor of {at} also cogs every {pitch}",
+    "cogging.position.another": "the motor of {at} has a second cogging, every {pitch}",
     "cogging.position": "the motor of {at} cogs every {pitch}",
     "cogging": "the beam's motors cog every {pitch}",
     "external_field": "a field along the beam's way pulls on {at}",
@@ -147,6 +155,7 @@ _CLAUSES = {
     "dead_zone": "{actuator} give{s} no force at small commands",
     "saturation": "{actuator} give{s} less force at large commands",
     "force_offset.drift": "the force of {at} drifts",
+    "thermal_drift.time": "the force of {at} changes over the session",
     "thermal_drift.": "the force of {at} changes as it warms",
     "sensor_gain.relative": "the gains of the sensors differ",
     "sensor_gain": "{at} read{s} {gain:%} {gain:too much|too little}",
@@ -181,6 +190,7 @@ _CLAUSES = {
     "linear.stiffness": "the stiffness of {at} is not as declared",
     "linear.gyroscopic": "a gyroscopic force couples {at}",
     "linear.input": "the lever of an input is not as declared ({at})",
+    "gravity.sine_for_stiffness": "gravity acts on {at} as on a pendulum, not as its stiffness",
     "gravity.sine": "gravity acts on {at} as on a pendulum",
 }
 """Clause of each effect by the start of its key; the first one that fits counts.

@@ -93,6 +93,10 @@ def _answer(
 
 def _notes(result: ForceOutcome) -> list[str]:
     texts = [f"{result.verdict[0].upper()}{result.verdict[1:]}."]
+    if result.lacks_something:
+        texts.append(
+            "The model lacks something: its numbers may be wrong by more than their intervals."
+        )
     told = None
     for law in result.laws:
         if law.doubtful:

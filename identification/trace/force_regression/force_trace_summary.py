@@ -16,7 +16,7 @@ from ....model.effects.freeform import depends_on
 from ...json_data import plain_json
 from ..parameter_covariance import parameter_covariance
 from .certainty_of_effects import is_told
-from .free_numbers import by_value, numbers_of
+from .free_numbers import at_limits, by_value, numbers_of
 from .rated_candidate import Rated
 from .reported_errors import PooledError
 from .trace_imported import ForceTrace, pooled_errors
@@ -54,7 +54,9 @@ class FoundLaw:
     the error before is left, infinite if it converges without effects only and the force does not
     confirm them. told: whether the force of one of its amplitudes is told from zero. surely:
     standard errors from which on two numbers differ; agreement: deviations within which data agree;
-    accuracy: relative error of a right law.
+    accuracy: relative error of a right law. displaced: parameters of the model that are at a limit
+    of their range with the effects, so that one of these may do what the parameter did; of zero,
+    which a damping may be, it says nothing.
     """
 
     rated: Rated
@@ -72,6 +74,7 @@ class FoundLaw:
     surely: float
     agreement: float
     accuracy: float
+    displaced: tuple[str, ...]
 
     @property
     def doubtful(self) -> bool:
@@ -92,7 +95,7 @@ class FoundLaw:
         pair = " and ".join(self.placed.effect.equal_numbers or ())
         more, farther = self.grew
         reasons = {
-            f"its {pair} would be the same, but differ": self.unequal,
+            f"its {pair} are one number in the textbook law, and differ here": self.unequal,
             f"of the squared missing force without it, {left} is left": (
                 self.left_share > self.least_gain
             ),
@@ -106,6 +109,9 @@ class FoundLaw:
             "the rows that neither fitted nor chose miss more force with what was found": more,
             "with what was found the free run is farther from these rows": farther,
             self._off: self.floors > self.agreement,
+            f"{' and '.join(self.displaced)} ended at the limit of its range beside it": bool(
+                self.displaced
+            ),
             f"its depth would be 1, but is {self.depth:.2g}": self.partial,
         }
         return tuple(reason for reason, so in reasons.items() if so)
@@ -200,9 +206,10 @@ class ForceOutcome:
     """The result of a trace of imported records in numbers.
 
     before, after: errors on the reported rows. metric: what measures them; `before_rms`,
-    `after_rms` in its unit. free_form (n,): what a free form of all signals leaves of the force in
-    the fitted rows, in per cent, nan without one. lacking: by DOF, the share of the squared missing
-    force that a function of the motion foretells, where it matters. nearest: what takes much of
+    `after_rms` in its unit. free_form (n,): what a free form of all signals leaves of the force
+    in the fitted rows, in per cent, nan without one. lacking: by DOF, the share of the squared
+    missing force that a function of the motion foretells, where it matters. formless: whether a
+    free form of all signals would take what matters at any DOF. nearest: what takes much of
     what is left, and was refused, as a clause; empty if nothing does.
     """
 
@@ -215,6 +222,7 @@ class ForceOutcome:
     floor: float | None
     free_form: Array
     lacking: Mapping[str, float]
+    formless: bool
     dof: tuple[str, ...]
     nearest: str
 
@@ -222,6 +230,11 @@ class ForceOutcome:
     def doubtful(self) -> bool:
         """Whether any name is uncertain."""
         return any(law.doubtful for law in self.laws)
+
+    @property
+    def lacks_something(self) -> bool:
+        """Whether the model lacks what its numbers may hold a part of, beyond their intervals."""
+        return self.doubtful or self.formless or bool(self.lacking)
 
     @property
     def verdict(self) -> str:
@@ -258,8 +271,7 @@ class ForceOutcome:
         """What no law of the table describes at a DOF, in a clause each."""
         return [
             f"an unlisted function of the motion would take {100 * share:.2g} % of the squared "
-            f"missing force at {name}: numbers of the model there may hold a part of it, of which "
-            "their intervals know nothing"
+            f"missing force at {name}"
             for name, share in self.lacking.items()
         ]
 
@@ -291,6 +303,7 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         floor,
         trace.free_form,
         _lacking(trace),
+        bool(_worth(trace, after.force_percent, trace.free_form)),
         trace.places.dof,
         _nearest(trace),
     )
@@ -302,10 +315,18 @@ def _lacking(trace: ForceTrace) -> dict[str, float]:
     DOF are left out where it is less than a free form has to take to be added: `least_free_gain` of
     the squares, and `least_force` of the inputs' force.
     """
+    return _worth(trace, *trace.unseen)
+
+
+def _worth(trace: ForceTrace, left: Array, form: Array) -> dict[str, float]:
+    """Return, by DOF, the share that a form takes of the squares that are left, where it matters.
+
+    left, form (n,): missing force without and with it, in per cent of the inputs' force.
+    """
     options, found = trace.options, {}
-    for name, left, form in zip(trace.places.dof, *trace.unseen, strict=True):
-        share = 1.0 - (form / left) ** 2 if left > 0.0 else 0.0
-        if share > options.least_free_gain and left - form > 100.0 * options.least_force:
+    for name, before, after in zip(trace.places.dof, left, form, strict=True):
+        share = 1.0 - (after / before) ** 2 if before > 0.0 else 0.0
+        if share > options.least_free_gain and before - after > 100.0 * options.least_force:
             found[name] = float(share)
     return found
 
@@ -318,7 +339,11 @@ def _nearest(trace: ForceTrace) -> str:
         if r.placed.effect.identity in known:
             continue
         if r.gain.statistic > options.standard_errors and r.share > options.least_free_gain:
-            why = "is too small to matter" if r.gain.elsewhere else "is contradicted by a record"
+            why = "is not confirmed by the fit of the whole model"
+            if not r.gain.elsewhere:
+                why = "is contradicted by a record"
+            elif r.force <= options.least_force:
+                why = "is too small to matter"
             return (
                 f"{which} {r.placed.effect.name}, which would take {100 * r.share:.0f} % of the "
                 f"squared missing force{rest} and {why}"
@@ -381,6 +406,7 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
                 "found": found.verdict,
                 "doubtful": found.doubtful,
                 "lacking": found.lacking,
+                "lacks_something": found.lacks_something,
                 "nearest": [
                     {
                         **_named(r),
@@ -463,6 +489,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
     known = {p.effect.identity for p in trace.found.point.placed}
     surely = trace.options.standard_errors
     floors = _floors(*pooled, trace.options.alike)
+    displaced = tuple(name for name, _, limit in at_limits(trace.found.point) if limit)
     if np.isinf(floors) and _confirmed_by_force(trace, pooled[1]):
         floors = float("nan")
     for rated, left, leaning in zip(
@@ -491,6 +518,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 surely,
                 trace.options.agreement,
                 trace.options.alike,
+                displaced,
             )
         )
     return tuple(laws)

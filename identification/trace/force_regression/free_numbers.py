@@ -45,6 +45,18 @@ def _free(placed: Placed, values: Sequence[float]) -> Array:
     return np.asarray(np.array(values)[np.argmax(placed.freedom, axis=0)])
 
 
+def at_limits(point: ForceModel) -> list[tuple[str, str, float]]:
+    """Return the parameters that a fit left at a limit of their range: name, which limit, and its
+    value. A fit comes as near to a limit as rounding lets it."""
+    free, found = point.parameters, []
+    near = np.sqrt(np.finfo(float).eps) * free.scale
+    for i, name in enumerate(free.names):
+        for word, limit in (("lower", free.low[i]), ("upper", free.high[i])):
+            if abs(point.values[i] - limit) <= near[i]:
+                found.append((name, word, float(limit)))
+    return found
+
+
 def way(begin: ForceModel, point: ForceModel) -> Array:
     """Return the change of all free numbers, parameters in their scale."""
     parts = [(point.values - begin.values) / point.parameters.scale]

@@ -27,6 +27,7 @@ from ...greybox.free_parameters import free_parameters
 from ...greybox.identify_greybox import stated_noise
 from ...records.record import IdentificationError
 from ..records.check_common_session_time import overlap
+from ..records.coil_load_history import in_one_session
 from ..records.initial_guesses import extent
 from ..records.read_records import read_records
 from ..records.record_from_log import TraceRecord
@@ -36,6 +37,7 @@ from .candidate_fit import Beside
 from .certainty_of_effects import Certainty, without_effect
 from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
+from .free_numbers import at_limits
 from .held_out_gain import Blocks
 from .instrumental_variables import Unbiased
 from .lines_in_missing_force import missing_lines
@@ -136,7 +138,7 @@ def _traced(
     notes: tuple[str, ...],
 ) -> ForceTrace:
     _require_rows(records, options)
-    hold = config.input
+    records, hold = in_one_session(records), config.input
     sd = output_noise(records)
     limit_hz = middle_limit([r.experiment for r in records], hold)
     limit_hz = min(limit_hz, *(acceleration_limit(r.experiment, sd) for r in records))
@@ -226,31 +228,28 @@ def _with_lines(
 
 def _at_limits(point: ForceModel) -> tuple[str, ...]:
     """Return a note for each free parameter that the fit left at a limit of its range."""
-    free, found = point.parameters, []
-    for name, value, low, high in zip(free.names, point.values, free.low, free.high, strict=True):
-        for word, limit in (("lower", low), ("upper", high)):
-            if value == limit:
-                found.append(
-                    f"{name} is at the {word} limit of its range in the model file, {limit:.4g}: "
-                    "widen the range if it may be beyond; if not, the model lacks something"
-                )
-    return tuple(found)
+    return tuple(
+        f"{name} is at the {word} limit of its range in the model file, {limit:.4g}: widen the "
+        "range if it may be beyond; if not, the model lacks something"
+        for name, word, limit in at_limits(point)
+    )
 
 
 def _held(point: ForceModel) -> tuple[str, ...]:
-    """Return a note for each law that is held to its textbook form."""
+    """Return a note for each law that is held to its textbook form, or to the end of its range."""
     found = []
     for p in point.placed:
         if p.plain and p.effect.equal_numbers is not None:
-            what = f"{' and '.join(p.effect.equal_numbers)} are one number"
+            one = f"{' and '.join(p.effect.equal_numbers)} are one number"
+            what = f"{one}, as in its textbook law; the records agree"
         elif p.plain and p.effect.whole:
-            what = "its depth is 1"
+            what = "its depth is 1, as in its textbook law; the records agree"
         elif p.plain:
             ends = ", ".join(q.name for q in p.effect.shape if q.ends)
-            what = f"{ends} is at its end"
+            what = f"{ends} is held at the end of its range; the records see nothing beyond"
         else:
             continue
-        found.append(f"{p.effect.name}: {what}, as in its textbook law; the records agree")
+        found.append(f"{p.effect.name}: {what}")
     return tuple(found)
 
 

@@ -1,15 +1,27 @@
-"""Compute the coil loads of a session, which determine the coils' heat when a record begins."""
+"""Compute the actuators' loads over a session, which determine their heat when a record begins."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ....model.effects.base import Loads
+from .check_common_session_time import overlap
 from .record_from_log import TraceRecord
 
 _BLOCK_S = 2.0
+
+
+def in_one_session(records: Sequence[TraceRecord]) -> list[TraceRecord]:
+    """Return records that know the span of their session, and the loads over it.
+
+    The loads are unknown if the records overlap in time.
+    """
+    span = min(r.time_s[0] for r in records), max(r.time_s[-1] for r in records)
+    loads = None if overlap(records) else loads_of(records)
+    return [replace(r, places=replace(r.places, span_s=span, loads=loads)) for r in records]
 
 
 def loads_of(records: Sequence[TraceRecord]) -> Loads:

@@ -40,6 +40,7 @@ KEYS = (
     "friction.coulomb_asymmetric",
     "friction.stribeck_asymmetric",
     "gravity.sine",
+    "gravity.sine_for_stiffness",
     "backlash.dead_zone_spring",
     "backlash.play",
     "backlash.load",
@@ -216,6 +217,9 @@ LAWS: dict[str, Law] = {
     "friction.coulomb_asymmetric": sliding,
     "friction.stribeck_asymmetric": stribeck,
     "gravity.sine": lambda q, v, F, k_s, k_c: -(k_s * np.sin(q) + k_c * np.cos(q)),
+    "gravity.sine_for_stiffness": lambda q, v, F, k_s, k_c, k: (
+        k * q - k_s * np.sin(q) - k_c * np.cos(q)
+    ),
     "backlash.dead_zone_spring": dead_zone_spring,
     "backlash.play": play,
     "backlash.load": load,

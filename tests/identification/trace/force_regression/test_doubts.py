@@ -34,7 +34,12 @@ K: [[1.0]]
 """
 
 
-def found(rated: Rated, numbers: dict[str, EffectParameter], floors: float = np.nan) -> FoundLaw:
+def found(
+    rated: Rated,
+    numbers: dict[str, EffectParameter],
+    floors: float = np.nan,
+    displaced: tuple[str, ...] = (),
+) -> FoundLaw:
     """Return a law that nothing but its numbers, or the free run, puts in doubt."""
     return FoundLaw(
         rated,
@@ -52,6 +57,7 @@ def found(rated: Rated, numbers: dict[str, EffectParameter], floors: float = np.
         3.0,
         6.0,
         0.02,
+        displaced,
     )
 
 
@@ -135,6 +141,17 @@ def test_a_partial_law_and_a_free_run_that_stays_off_are_in_doubt(
     }
     law = found(rated, numbers, floors)
     assert law.doubtful == doubtful
+
+
+def test_a_law_beside_which_a_parameter_ends_at_its_limit_is_in_doubt() -> None:
+    """It may be what the parameter was, as a lag that takes the place of the inertia."""
+    places = imported_places(parse_text(MODEL, ModelConfig, "arm"))
+    (effect,) = (e for e in all_effects(places) if e.key == "damping.quadratic")
+    rated = Rated(Placed(effect, (), (0.1,)), None, 0.1)  # type: ignore[arg-type]
+    numbers = {"d2": EffectParameter(value=0.1, unit="N m s^2/rad^2", se=0.01)}
+    assert not found(rated, numbers).doubtful
+    (doubt,) = found(rated, numbers, displaced=("j",)).doubts
+    assert doubt.startswith("j ended at the limit")
 
 
 def left_with(left: list[float], form: list[float]) -> Any:

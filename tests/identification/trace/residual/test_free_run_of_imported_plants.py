@@ -117,6 +117,9 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
     "gravity.sine": (
         (3.0, 1.0), (), lambda: lambda q, v, u: -(3.0 * np.sin(q) + 1.0 * np.cos(q)),
     ),
+    "gravity.sine_for_stiffness": (
+        (3.0, 1.0, 2.0), (), lambda: lambda q, v, u: 2.0 * q - 3.0 * np.sin(q) - 1.0 * np.cos(q),
+    ),
     "backlash.dead_zone_spring": (
         (6.0,), (0.05, 0.1),
         lambda: lambda q, v, u: -6.0 * (q - 0.05 - min(max(q - 0.05, -0.1), 0.1)),

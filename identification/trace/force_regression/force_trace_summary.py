@@ -234,7 +234,8 @@ class ForceOutcome:
     @property
     def lacks_something(self) -> bool:
         """Whether the model lacks what its numbers may hold a part of, beyond their intervals."""
-        return self.doubtful or self.formless or bool(self.lacking)
+        inexact = any(law.inexact for law in self.laws)
+        return self.doubtful or inexact or self.formless or bool(self.lacking)
 
     @property
     def verdict(self) -> str:

@@ -174,15 +174,18 @@ def _confirmed_where_it_fits(
     training: Training,
     options: SearchOptions,
 ) -> _State | None:
-    """Return the state with an effect that is confirmed beside the numbers that fit with it.
+    """Return the state with an effect that is confirmed beside the numbers that fit with it, or
+    with a rival that is better there.
 
     fitted: the model with the effect, the last one.
     """
     rest = replace(fitted, placed=fitted.placed[:-1])
-    beside = Beside.of(rest, training)
-    there = rated_beside(beside, beside, fitted.placed[-1], None)
-    kept = replace(state, point=rest, rated=_without_replaced(state, first))
-    after = _with_best(kept, [there], named, training, options)
+    there = replace(state, point=rest, rated=_without_replaced(state, first))
+    ranking = _ranking(there, named, training, options)
+    own = (r for r in ranking if same_law(r.placed.effect, first.placed.effect))
+    if not any(confirmed(r, options) for r in own):
+        return None
+    after = _with_best(there, ranking, named, training, options)
     if after is None:
         return None
     plain = training.plain()

@@ -7,7 +7,8 @@ it down. The load starts in the middle of the gap; its motion follows from that 
 it was at first is forgotten with the first contacts if these are damped. Signature: an inertia that
 is lost where the motion turns, for as long as the load crosses the gap, and comes back with a blow.
 A mass on a spring without a gap is never lost. If the load bounces between both edges without much
-damping, where it is follows from noise, and no law tells its force.
+damping, where it is follows from noise, and no law tells its force. Each bounce gives the squares
+another minimum: numbers may be wrong by a tenth, of which their intervals know nothing.
 """
 
 from __future__ import annotations

@@ -208,7 +208,7 @@ class ForceOutcome:
     before, after: errors on the reported rows. metric: what measures them; `before_rms`,
     `after_rms` in its unit. free_form (n,): what a free form of all signals leaves of the force
     in the fitted rows, in per cent, nan without one. lacking: by DOF, the share of the squared
-    missing force that a function of the motion foretells, where it matters. formless: whether a
+    missing force that a function of the motion foretells, where it matters. form_matters: whether a
     free form of all signals would take what matters at any DOF. nearest: what takes much of
     what is left, and was refused, as a clause; empty if nothing does.
     """
@@ -222,7 +222,7 @@ class ForceOutcome:
     floor: float | None
     free_form: Array
     lacking: Mapping[str, float]
-    formless: bool
+    form_matters: bool
     dof: tuple[str, ...]
     nearest: str
 
@@ -235,7 +235,7 @@ class ForceOutcome:
     def lacks_something(self) -> bool:
         """Whether the model lacks what its numbers may hold a part of, beyond their intervals."""
         inexact = any(law.inexact for law in self.laws)
-        return self.doubtful or inexact or self.formless or bool(self.lacking)
+        return self.doubtful or inexact or self.form_matters or bool(self.lacking)
 
     @property
     def verdict(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Effect, Placed
+from ...rounding import TINY
 from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate, taken_at
 from .force_record import ForceModel
@@ -71,9 +72,13 @@ def confirmed(rated: Rated, options: SearchOptions) -> bool:
 
 def confirmed_here(rated: Rated, options: SearchOptions) -> bool:
     """Return whether an effect is no chance and matters, whatever each record says of it."""
-    surely = rated.gain.statistic > options.standard_errors
+    return rated.gain.statistic > options.standard_errors and matters(rated, options)
+
+
+def matters(rated: Rated, options: SearchOptions) -> bool:
+    """Return whether what an effect takes is large enough to matter, if it is no chance."""
     least = options.least_free_gain if rated.free else options.least_gain
-    return surely and rated.share > least and rated.force > options.least_force
+    return rated.share > least and rated.force > options.least_force
 
 
 def rate(
@@ -151,7 +156,7 @@ def _force_share(
         np.sqrt(np.sum([np.sum(x * x, axis=0) for x in values], axis=0))
         for values in (before, after)
     ]
-    forces = np.maximum(acting_force(one.at), np.finfo(float).tiny)
+    forces = np.maximum(acting_force(one.at), TINY)
     return float(np.max((sizes[0] - sizes[1]) / forces))
 
 

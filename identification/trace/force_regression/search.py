@@ -20,7 +20,16 @@ from .candidate_fit import Beside
 from .compare_fitted_candidates import fitted_rivals
 from .force_record import ForceModel
 from .free_form_of_law_signal import described_laws
-from .rated_candidate import Rated, by_gain, confirmed, confirmed_here, is_free, rate, rated_beside
+from .rated_candidate import (
+    Rated,
+    by_gain,
+    confirmed,
+    confirmed_here,
+    is_free,
+    matters,
+    rate,
+    rated_beside,
+)
 from .training_records import Training, missing_share
 
 Progress = Callable[[str, float], None]
@@ -70,14 +79,14 @@ def search(
             break
         state = _without_idle(after, training, options)
         state, nearest = _grown(state, named, training, options, progress)
-    progress("comparing rivals", 0.8)
+    progress("comparing rivals", options.share_done(options.most_effects))
     if len(state.rated) > 1:
         state = _against_rivals(state, list(state.rated), named, training, options)
     last = {p.effect.identity: p for p in state.point.placed}
     final = [replace(r, placed=last[key]) for key, r in state.rated.items()]
     final.sort(key=lambda r: (is_free(r.placed), -r.force))
     gone = tuple(name for name in state.dropped if name not in last)
-    return Searched(state.point, tuple(final), tuple(nearest[:3]), gone)
+    return Searched(state.point, tuple(final), tuple(nearest[: options.patience]), gone)
 
 
 @dataclass(frozen=True)
@@ -104,9 +113,9 @@ def _grown(
     nearest: list[Rated] = []
     while len(state.rated) < options.most_effects:
         number = len(state.rated) + 1
-        progress(f"search, effect {number}", 0.1 + 0.1 * number)
+        progress(f"search, effect {number}", options.share_done(number))
         nearest = _ranking(state, named, training, options)
-        pair = _with_two_at_once(state, nearest, named, training, options)
+        pair = _with_two_at_once(state, _contradicted(nearest, options), named, training, options)
         if pair is not None:
             state = pair
             continue
@@ -114,8 +123,9 @@ def _grown(
         if after is None:
             # What blocks confirm, and the fit of the whole model does not, is no candidate.
             others = [r for r in nearest if not confirmed(r, options)]
-            if len(others) < len(nearest):
-                after = _with_two_at_once(state, others, named, training, options)
+            first = _contradicted(others, options) if len(others) < len(nearest) else None
+            first = first or _scattered(others, options)
+            after = _with_two_at_once(state, first, named, training, options)
             if after is None:
                 break
         state = _without_idle(after, training, options)
@@ -129,22 +139,19 @@ def _grown(
 
 def _with_two_at_once(
     state: _State,
-    ranking: Sequence[Rated],
+    first: Rated | None,
     named: Sequence[Effect],
     training: Training,
     options: SearchOptions,
 ) -> _State | None:
-    """Return the state with the effect that gains most although a record contradicts it, if the fit
-    of the whole model with it ends where none does, or beside another one that it needs.
+    """Return the state with an effect that is not confirmed yet, if it is at the numbers that the
+    fit of the whole model with it gives, or beside another one that it needs.
 
     With a large effect missing, the model's numbers are far off, and so is what they let a record
-    say. While two effects are missing, what one record says of one of them may be mostly the other.
-    Each counts if it is confirmed in the end, by the same criterion as all.
+    say. While two effects are missing, what one record or block says of one of them may be mostly
+    the other. Each counts if it is confirmed in the end, by the same criterion as all.
     """
-    first = ranking[0] if ranking else None
-    if first is None or first.gain.elsewhere or not confirmed_here(first, options):
-        return None
-    if len(state.rated) + 2 > options.most_effects:
+    if first is None or len(state.rated) + 2 > options.most_effects:
         return None
     beside = replace(
         state.point, placed=tuple(p for p in state.point.placed if p is not first.instead_of)
@@ -158,12 +165,27 @@ def _with_two_at_once(
     by_itself = _confirmed_where_it_fits(state, alone.point, first, named, training, options)
     if by_itself is not None:
         return by_itself
-    ranking = _ranking(alone, named, training, options)
-    after = _with_best(alone, ranking, named, training, options)
+    after = _with_best(alone, _ranking(alone, named, training, options), named, training, options)
     if after is None:
         return None
     both = _without_idle(after, training, options)
     return both if len(both.rated) == len(after.rated) > len(state.rated) + 1 else None
+
+
+def _contradicted(ranking: Sequence[Rated], options: SearchOptions) -> Rated | None:
+    """Return the effect that gains most, if it is no chance but a record contradicts it."""
+    first = ranking[0] if ranking else None
+    if first is None or first.gain.elsewhere or not confirmed_here(first, options):
+        return None
+    return first
+
+
+def _scattered(ranking: Sequence[Rated], options: SearchOptions) -> Rated | None:
+    """Return the effect that gains most, if it matters but what blocks say of it scatters."""
+    first = ranking[0] if ranking else None
+    if first is None or not first.gain.elsewhere or not matters(first, options):
+        return None
+    return first
 
 
 def _confirmed_where_it_fits(

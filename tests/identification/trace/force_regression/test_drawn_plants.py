@@ -78,3 +78,11 @@ def test_two_effects_that_look_like_a_third_one_are_found() -> None:
     assert found.right
     assert not found.false_name
     assert found.force[1] < 1.0
+
+
+def test_two_large_effects_are_found_whose_gains_scatter_without_each_other() -> None:
+    # A swinging mass beside a sine for a stiffness: alone, neither is told from chance by blocks.
+    found = scored("pendulum", "gravity+loose_mass", 862_001)
+    assert found.right
+    assert not found.doubtful
+    assert found.force[1] < 0.02 * found.force[0]

@@ -1,4 +1,4 @@
-"""Write a value with its 95 % interval, both to the second digit of the interval."""
+"""Write a value with its 95 % interval, both to the second digit of the interval; or a share."""
 
 from __future__ import annotations
 
@@ -6,6 +6,14 @@ import math
 
 _PLAIN = range(-3, 6)
 """Powers of ten of numbers that are written without one."""
+
+
+PERCENT = 100.0
+
+
+def percent(share: float, digits: int = 2) -> str:
+    """Return a share in per cent, such as 3.2 %."""
+    return f"{PERCENT * share:.{digits}g} %"
 
 
 def value_with_interval(value: float, se: float | None, plus_minus: str = "+-") -> str:

@@ -40,13 +40,12 @@ PLANTS = ("drive", "pendulum", "levitation")
 FIRST_SEED = 130_000
 """No plant of these seeds was used to develop the trace."""
 RATIOS = ("explained", "much_left")
-OF_THE_RIG = ("law_accuracy", "explained")
+OF_THE_RIG = ("law_accuracy", "explained", "block_s")
 """Numbers that the search in prediction errors alone reads."""
 MOST_POINTS = 2.0
 
 
 METHODS = {
-    "rest_standard_deviations": (rests, "_SURELY"),
     "rest_turns": (rests, "_TURNS"),
     "foretold_variances": (held_out_gain, "_FORETOLD"),
     "form_degree": (richest_free_form, "_DEGREE"),

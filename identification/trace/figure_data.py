@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...model.effects.base import Placed, Signals
 from ..greybox.free_run.free_run_noise_floor import floor_psd
-from .linearised.gram_matrices import BLOCK_S
+from ..rounding import ROUNDING, TINY
 from .linearised.linearisation_point import Along, WorkingPoint
 from .records.record_from_log import TraceRecord
 from .records.sensor_and_amplifier_noise import Disturbance
@@ -25,6 +25,7 @@ from .residual.force_residual import (
     standing_out,
 )
 from .run_trace import Trace
+from .search_options import SearchOptions
 from .worker_pool import Workers
 
 Array = NDArray[np.float64]
@@ -148,7 +149,7 @@ def _thinning(record: TraceRecord) -> int:
 
 def _blocks(record: TraceRecord) -> NDArray[np.int64]:
     """Return the number of the time block of each row (N,)."""
-    return np.floor(record.time_s / BLOCK_S).astype(np.int64)
+    return np.floor(record.time_s / SearchOptions.block_s).astype(np.int64)
 
 
 def _thinned(signals: Iterator[PlottedSignal], every: int) -> Iterator[PlottedSignal]:
@@ -186,7 +187,7 @@ def _standing_out(point: WorkingPoint, left: Missing) -> tuple[Array, Array]:
         [denoised(f, g, freq_hz, Ts_s) for f, g in zip(left.force.T, gain.T, strict=True)]
     )
     passed = np.sqrt(np.sum(gain**2 * noise, axis=0))
-    out = np.sqrt(np.sum(gain**2 * psd, axis=0)) / np.maximum(passed, 1e-300)
+    out = np.sqrt(np.sum(gain**2 * psd, axis=0)) / np.maximum(passed, TINY)
     return force, np.where(passed > 0, out, 0.0)
 
 
@@ -203,7 +204,7 @@ def _block_squares(point: WorkingPoint, left: Missing) -> tuple[Array, Array]:
         squares = squares + (mean**2).sum(axis=1)
         width += len(shape) - n
     time_s = here.record.time_s[: rows * here.every : here.every]
-    _, number = np.unique(np.floor(time_s / BLOCK_S), return_inverse=True)
+    _, number = np.unique(np.floor(time_s / SearchOptions.block_s), return_inverse=True)
     count = np.bincount(number)
     return np.bincount(number, time_s) / count, np.bincount(number, squares) / (count * width)
 
@@ -214,7 +215,7 @@ def _sensor_rms(disturbance: Disturbance, left: Missing) -> Array:
     own = 1 - np.einsum("si,is->s", shape, np.linalg.pinv(shape))
     noise = disturbance.sensor_sd * np.sqrt(np.maximum(own, 0.0))
     rms = np.sqrt(np.mean(left.reading**2, axis=0))
-    return np.where(own > 1e-9, rms / np.maximum(noise, 1e-300), np.nan)
+    return np.where(own > ROUNDING, rms / np.maximum(noise, TINY), np.nan)
 
 
 def _aspects(
@@ -278,7 +279,7 @@ def _parts(point: WorkingPoint, left: Missing, placed: Placed) -> Iterator[_Part
             direction = np.zeros(places.sensors)
             direction[sensor] = 1.0
             seen = 1 - float(places.sensor_shape[sensor] @ places.decoupling[:, sensor])
-            place, scale = f"reading of sensor {sensor}", 1 / max(seen, 1e-9)
+            place, scale = f"reading of sensor {sensor}", 1 / max(seen, ROUNDING)
             height = s.gap(sensor)
             signals = (
                 PlottedSignal(f"height at sensor {sensor}", places.sensor_unit, height),
@@ -307,8 +308,8 @@ def _part(
     Ts_s, mean = here.at.Ts_s, fitted.mean()
     fitted, left = fitted - mean, left - left.mean()
     freq_hz, psd = density(np.column_stack([fitted, left]), Ts_s)
-    gain = psd[:, 0] / np.maximum(psd[:, 0] + psd[:, 1], 1e-300)
-    size = float(np.sqrt(np.sum(gain * psd[:, 0]) / max(np.sum(gain * psd[:, 1]), 1e-300)))
+    gain = psd[:, 0] / np.maximum(psd[:, 0] + psd[:, 1], TINY)
+    size = float(np.sqrt(np.sum(gain * psd[:, 0]) / max(np.sum(gain * psd[:, 1]), TINY)))
     fitted, left = (denoised(v, gain, freq_hz, Ts_s) for v in (fitted, left))
     # The own signals pass the filter too: a gain stays a straight line over its command.
     own = tuple(

@@ -15,6 +15,8 @@ from ...model.effects.base import Effect, Placed, Places, located
 from ...model.effects.flexible import sites
 from ...model.effects.freeform import depends_on
 from ..json_data import plain_json
+from ..rounding import ROUNDING, TINY
+from ..value_with_interval import percent
 from .parameter_covariance import parameter_covariance
 from .residual.free_run_error import (
     RecordError,
@@ -27,7 +29,7 @@ from .residual.random_vibration import RandomVibration
 from .run_trace import Trace
 from .search.backward_elimination import brought
 from .search.predictive_criterion import certainty
-from .search.tested_candidate import Tried
+from .search.tested_candidate import Round, Tried
 from .search_options import SearchOptions
 
 Array = NDArray[np.float64]
@@ -40,7 +42,7 @@ ABOUT_METRIC = (
 )
 NOISE_MOST = 1.15
 """Largest error over noise floor that counts as noise: the floor has errors of a few percent."""
-SQUARE_MOST = 1.05
+SQUARE_MOST = SearchOptions.explained**2
 _FAR_BELOW = 0.5
 """Mean square of one-step errors (1 for noise) below which the noise was overestimated."""
 NO_STILL = (
@@ -54,11 +56,9 @@ explain less than this share of the squared error above it."""
 _MANY = 2
 """More coils than this with equal forces act like a force on the DOF."""
 PERHAPS_A_PART = "perhaps a part of what is described freely there"
-_MIN_EXCESS_SHARE = 0.01
 _MAX_ERROR_SHARE = 0.5
 """Largest standard error of an identified parameter, over its uncertainty before."""
 _BAND = (0.1, 0.9)
-_MOST_RIVALS = 3
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ class Outcome:
         named = any(not f.unknown for f in self.effects)
         if named and self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED:
             return (
-                f"the effects explain {100 * self.explained:.2g} % of the squared error above "
+                f"the effects explain {percent(self.explained)} of the squared error above "
                 f"noise, and {self.after / self.floor:.2g} times the noise floor is left"
             )
         return ""
@@ -311,7 +311,7 @@ def outcome(trace: Trace) -> Outcome:
         _dof_errors(trace),
         held.squares / max(float(held.count.sum()), 1.0),
         _beyond(trace),
-        last.ranking[:_MOST_RIVALS] if last.taken is None else (),
+        last.ranking[: SearchOptions.patience] if last.taken is None else (),
         tuple(n for key, n in taken.items() if key not in placed),
         tuple(e.name for e in trace.after if not e.settled),
         tuple(
@@ -475,6 +475,13 @@ def _kind(effect: Effect) -> tuple[str, tuple[str, ...]]:
     return effect.effect_class, effect.where
 
 
+def _share_of_excess(found: Round) -> float | None:
+    """Return what was taken of the squared error above noise; None where there is none to share."""
+    if found.taken is None or found.excess <= SearchOptions.accuracy * found.count:
+        return None
+    return float(min(found.taken.gain / found.excess, 1.0))
+
+
 def _evidence(trace: Trace) -> dict[str, Evidence]:
     """Return the evidence of accepted effects, by identity."""
     point, train = trace.found.point, trace.found.train
@@ -488,7 +495,7 @@ def _evidence(trace: Trace) -> dict[str, Evidence]:
             certainty(r.taken.agreement),
             r.taken.agreement.asked,
             r.taken.gain,
-            min(r.taken.gain / r.excess, 1.0) if r.excess > _MIN_EXCESS_SHARE * r.count else None,
+            _share_of_excess(r),
             number,
             tuple(t.effect for t in r.alternatives),
             trace.found.supports.get(key, math.nan),
@@ -535,7 +542,7 @@ def _band(errors: Sequence[RecordError], dof: int) -> tuple[float, float]:
     power = np.zeros(len(freq_hz))
     for e in errors:
         power += np.interp(freq_hz, e.freq_hz, e.psd[:, dof], right=0.0) * e.seconds
-    share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    share = np.cumsum(power) / max(float(power.sum()), TINY)
     low, high = (float(np.interp(at, share, freq_hz)) for at in _BAND)
     return low, high
 
@@ -547,7 +554,7 @@ def _beyond(trace: Trace) -> float | None:
     inner = shape.T @ shape
     own = np.diag(inner)
     # If the sensor geometry couples the DOF, the squares of the pose are not sufficient.
-    mixed = float(np.abs(inner - np.diag(own)).max()) > 1e-9 * float(own.max())
+    mixed = float(np.abs(inner - np.diag(own)).max()) > ROUNDING * float(own.max())
     if sensors <= n or mixed:
         return None
     sd = trace.found.point.disturbance.sensor_sd

@@ -20,7 +20,7 @@ from ..greybox.declared_model_from_config import declared_model
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.free_parameters import free_parameters
 from ..records.record import IdentificationError
-from .linearised.gram_matrices import BLOCK_S, Linearised
+from .linearised.gram_matrices import Linearised
 from .linearised.linearisation_point import WorkingPoint, with_likely_noise
 from .linearised.linearise_prediction_errors import blocks_in, linearise
 from .linearised.noise_removed_by_effects import noise_removed
@@ -50,8 +50,6 @@ _LOUDER = (1e9, 1e7, 1e5)
 """Factors on the force noise: large for a poor initial model, then smaller."""
 _AT_A_TIME = 128
 """Candidates that a worker is asked about at once where some records only are asked."""
-_UNEXPLAINED = 1.1
-"""Error over noise floor above which random vibration is looked for."""
 
 
 @dataclass(frozen=True)
@@ -152,12 +150,12 @@ def _trace(
         found = replace(found, point=point)
     if {p.effect.identity for p in found.point.placed} == known:
         declared = found.point  # no effect was found: use the converged fit
-    progress("simulating held-out records", 0.9)
+    progress("simulating held-out records", options.share_done(options.most_effects + 1))
     before = workers.map(partial(record_error, declared), logged.kept)
     after = workers.map(partial(record_error, found.point), logged.kept)
     error, floor = pooled(after)
     shaken: tuple[RandomVibration, ...] = ()
-    if not error <= _UNEXPLAINED * floor:
+    if not error <= options.explained * floor:
         shaken = _shaken(found.point, logged, workers)
     return Trace(
         config, places, declared, found, begun.fitted, begun.held,
@@ -219,7 +217,7 @@ def _begin(
     if overlapping:
         declared_effects = placed_effects(config.effects, places, covered)
         require_timeless(declared_effects, places, covered, overlapping)
-    progress("fitting the declared model", 0.05)
+    progress("fitting the declared model", SearchOptions().share_done(-1))
     parts = _parts(train)
     begin_with = _Logged(workers, sources(parts), (), tuple(parts))
     point = _start(config, begin_with, list(records.values()), covered)
@@ -311,12 +309,12 @@ def _require_known_loops(records: Sequence[TraceRecord]) -> None:
 
 def _require_enough(train: Sequence[TraceRecord]) -> None:
     """Raise IdentificationError for too few blocks of time to judge an effect by."""
-    blocks = sum(blocks_in(r) for r in train)
+    blocks, block_s = sum(blocks_in(r) for r in train), SearchOptions.block_s
     found = sum(r.rows * r.experiment.Ts_s for r in train)
-    if blocks < FOLDS or found < (FOLDS - 0.5) * BLOCK_S:
+    if blocks < FOLDS or found < (FOLDS - 0.5) * block_s:
         raise IdentificationError(
-            f"expected at least {FOLDS * BLOCK_S:.0f} s of records to fit to ({FOLDS} blocks of "
-            f"{BLOCK_S:.0f} s, by which effects are judged) beside those held out, found "
+            f"expected at least {FOLDS * block_s:.0f} s of records to fit to ({FOLDS} blocks of "
+            f"{block_s:.0f} s, by which effects are judged) beside those held out, found "
             f"{found:.3g} s in {len(train)} record{'s' if len(train) > 1 else ''}"
         )
 
@@ -355,7 +353,7 @@ def _parts(records: Sequence[TraceRecord]) -> list[TraceRecord]:
     moving = [r for r in records if not r.still] or list(records)
     chosen: list[TraceRecord] = []
     for kind in dict.fromkeys(r.kind for r in moving):
-        chosen += [r for r in moving if r.kind == kind][:3]
+        chosen += [r for r in moving if r.kind == kind][: SearchOptions.patience]
     parts = []
     for record in chosen[:_FIRST_RECORDS]:
         first = max((record.rows - _FIRST_ROWS) // 2, 0)

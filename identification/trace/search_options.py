@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from scipy.stats import norm
+
 
 @dataclass(frozen=True)
 class SearchOptions:
     """Numbers of the search, in prediction errors of the rig and in forces of imported records.
+
+    Methods that no options reach, such as those that read noise or rests, use the defaults.
 
     standard_errors: what an effect takes of data that did not fit it, over its standard error, from
     which on it is no chance: one in 700 by itself. It is asked of the best of a hundred candidates,
@@ -25,6 +29,8 @@ class SearchOptions:
     explained, much_left: RMS errors over those of noise alone below which records are explained,
     and above which free forms are asked.
 
+    block_s: seconds of a block of time of the rig's records, and of a segment of spectra: longer
+    than the platform remembers, so that blocks are independent.
     blocks: blocks of time of imported records, by whose scatter an effect is judged. Fewer make the
     scatter uncertain, more make the blocks shorter than what an effect needs to show.
     fewest_blocks: in short records, of which each block needs two independent values.
@@ -43,6 +49,7 @@ class SearchOptions:
     law_accuracy: float = 0.05
     explained: float = 1.03
     much_left: float = 1.3
+    block_s: float = 4.0
     blocks: int = 24
     fewest_blocks: int = 8
     reported: float = 0.25
@@ -50,6 +57,12 @@ class SearchOptions:
     fitted: int = 10
     patience: int = 3
     resamples: int = 200
+
+    @classmethod
+    def chance(cls, count: int) -> float:
+        """Return the standard deviations that the largest of `count` independent normal values
+        exceeds as rarely as one of them exceeds `standard_errors`."""
+        return float(norm.isf(norm.sf(cls.standard_errors) / count))
 
     @property
     def agreement(self) -> float:
@@ -115,3 +128,12 @@ class SearchOptions:
     def shortlisted(self) -> int:
         """Candidates that all records are asked about."""
         return self.fitted * self.most_effects
+
+    def share_done(self, rounds: int) -> float:
+        """Return the share of a trace that is done, at most, after some rounds of the search.
+
+        Before it logs are read and the declared model is fitted, after it intervals are computed
+        and unseen records are reported.
+        """
+        before = after = 2
+        return (before + min(rounds, self.most_effects + 1)) / (before + self.most_effects + after)

@@ -22,13 +22,12 @@ from ..greybox.fit import first_noise
 from ..greybox.free_parameters import free_parameters
 from ..greybox.prediction.discretisation import motion
 from ..records.record import IdentificationError
+from ..rounding import ROUNDING
 from .linearised.linearisation_point import WorkingPoint, filtered
 from .records.record_from_log import trace_record
 from .records.sensor_and_amplifier_noise import Disturbance
 
 Array = NDArray[np.float64]
-
-_RANK_TOLERANCE = 1e-9
 
 
 def experiment_of(log: Log, config: ModelConfig) -> Experiment:
@@ -61,7 +60,7 @@ def _as_command(e: Experiment, point: WorkingPoint, force: Array) -> Array:
     model = point.model
     B = model.at({name: float(v.mean()) for name, v in e.schedule.items()}).B
     inverse = np.linalg.pinv(B)
-    if np.abs(B @ inverse - np.eye(len(B))).max() > _RANK_TOLERANCE:
+    if np.abs(B @ inverse - np.eye(len(B))).max() > ROUNDING:
         raise IdentificationError(
             f"record '{e.name}': expected inputs that act on every DOF (B of full rank), which the "
             "subtraction of effects needs, found a B of lower rank"

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear, minimize_scalar
 
 from ....model.effects.base import Effect, Placed, Quantity
-from .force_record import ForceModel
+from ...rounding import DIFFERENCE, TINY, basis_of
+from ..search_options import SearchOptions
+from .force_record import GROUPS, ForceModel
 from .free_numbers import Shape
 from .training_records import Evaluated, Training
 
@@ -23,10 +25,10 @@ _EVALUATIONS = 25
 _LINE_STEPS = 10
 """Evaluations along one number of a shape: they narrow a valley to a hundredth of its width."""
 _DIFFERENCE = 1e-3
-_INSIDE = 1e-6
+_INSIDE = DIFFERENCE
 _SHARE, _SHARE_LOG = 0.25, 1.0
 """First steps of a fit: of the distance of the bounds, and of a logarithm."""
-_FELL = 1e-4
+_FELL = SearchOptions.accuracy**2
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,7 @@ class Beside:
         groups = training.group_columns(at)
         own = training.columns(at, groups)
         base = flat(own)
-        size = np.linalg.norm(base, axis=0)
-        Q, R = np.linalg.qr(base[:, size > 0.0] / size[size > 0.0])
-        Q = Q[:, np.abs(np.diag(R)) > 1e-10]
+        Q = basis_of(base)
         whole = np.concatenate([m.reshape(-1) for m in at.missing])
         return cls(at, training, own, groups, Q, whole - Q @ (Q.T @ whole))
 
@@ -127,12 +127,12 @@ def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: floa
     remains = np.sum(fit.left * fit.left, axis=0)
     n = len(beside.at.power)
     whether, scale = (beside.at.groups, beside.at.bare), beside.training.scale
-    for groups, kind, i in product(whether, range(3), range(n)):
+    for groups, kind, i in product(whether, range(len(GROUPS)), range(n)):
         if effect.linear and not (scale[kind, i] and scale[:, i].sum() == 1.0):
             continue
         one = np.arange(n) == i
         group = np.concatenate([(g[kind] * one).reshape(-1) for g in groups])
-        along = (group @ fit.X) ** 2 / max(float(group @ group), np.finfo(float).tiny)
+        along = (group @ fit.X) ** 2 / max(float(group @ group), TINY)
         remains = np.minimum(remains, whole - along)
     if not np.any(remains > told_from_model * whole):
         return None
@@ -247,7 +247,7 @@ def _shape(quantities: Sequence[Quantity], x: Array) -> Shape:
 
 
 def _plain(q: Quantity, value: float) -> float:
-    return float(np.log(max(value, np.finfo(float).tiny))) if q.log else value
+    return float(np.log(max(value, TINY))) if q.log else value
 
 
 def _reach(q: Quantity) -> float:

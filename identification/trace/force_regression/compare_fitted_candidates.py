@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ....model.effects.actuator_chain import orders
 from ....model.effects.base import Effect, Placed
+from ...rounding import TINY
 from ..search_options import SearchOptions
 from .force_record import ForceModel
 from .free_numbers import amplitudes_of, numbers_of
@@ -154,11 +155,11 @@ class _Fitted:
         held = judged.only(range(kept))
         left = missing_after(held.coefficients(), [c[:kept] for c in columns], at.missing)
         last = replace(last, idle=_idle_amplitudes(held, last.placed, options))
-        own = np.maximum(training.noise(point) * at.share**2, np.finfo(float).tiny)
+        own = np.maximum(training.noise(point) * at.share**2, TINY)
         more = noise / own  # the missing force is already times the share
         by_dof = held.left_out_errors_by_dof()
         errors = (by_dof * more).sum(axis=1)
-        cost = training.cost(point) * float(errors.sum() / max(by_dof.sum(), np.finfo(float).tiny))
+        cost = training.cost(point) * float(errors.sum() / max(by_dof.sum(), TINY))
         relative = tuple(x * np.sqrt(more) for x in left)
         return cls(last, point, cost, errors, relative, by_dof.sum(axis=1), more)
 
@@ -209,7 +210,7 @@ def richer_matters(
     size = block_sums(training.blocks, [a - b for a, b in zip(one.left, other.left, strict=True)])
     gain = bounded(other.errors - one.errors, size)
     surely = gain.mean() > options.standard_errors * error_of_mean(gain, size)
-    share = float(gain.sum()) / max(float(other.errors.sum()), np.finfo(float).tiny)
+    share = float(gain.sum()) / max(float(other.errors.sum()), TINY)
     plain = training.plain()
     less = missing_share(plain.at(simple)) - missing_share(plain.at(richer))
     return bool(surely and share > options.least_gain and less.max() > options.least_force)

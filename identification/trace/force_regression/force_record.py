@@ -29,6 +29,10 @@ from .rests import moving_rows
 
 Array = NDArray[np.float64]
 
+GROUPS = ("inputs", "inertia", "all else")
+"""Forces that a model consists of, as each may set the scale of its equations."""
+_MATRICES = {"K": "q", "D": "qd", "M": "qdd"}
+"""Matrices of the linear part, and what each multiplies."""
 _OVERSAMPLED = 4.0
 """Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
 _INERTIA = {"inertia", "linear_inertia"}
@@ -108,7 +112,7 @@ class ForceRecord:
         e = record.experiment
         band = BandLimited.of(e, hold, cutoff_hz, _OVERSAMPLED)
         law = BandLimited.of(e, hold, law_hz, _OVERSAMPLED)
-        q, qd, qdd = law.derivatives[:3]
+        q, qd, qdd = law.derivatives[:-1]
         every_row = replace(law, kept=slice(0, len(q), 1))
         none = np.zeros(len(q))
         signals = Signals(
@@ -164,8 +168,8 @@ class ForceRecord:
         """Return frequencies in Hz (F,), and the power density (F, n) there of the missing force
         that the noise of the outputs alone gives, in the linear part of a model."""
         at, freq_hz = self._at(point.model)[0], self.band.freq_hz
-        more = sum((self._matrices_of(p) for p in point.placed), np.zeros((3, *at.M.shape)))
-        K, D, M = np.stack([at.K, at.D, at.M]) + more
+        own = np.stack([getattr(at, name) for name in _MATRICES])
+        K, D, M = sum((self._matrices_of(p) for p in point.placed), own)
         s = 2j * np.pi * freq_hz[:, None, None]
         density = 2.0 * self.band.Ts_s * np.abs(s**2 * M + s * D + K) ** 2 @ self.noise_sd**2
         return freq_hz, density * self.band.low_pass[:, None] ** 2
@@ -173,18 +177,18 @@ class ForceRecord:
     def _matrices_of(self, placed: Placed) -> Array:
         """Return what an effect adds to K, D and M (3, n, n): zero if it is not linear."""
         n = self.signals.q.shape[1]
-        found = np.zeros((3, n, n))
         if not placed.effect.linear:
-            return found
+            return np.zeros((len(_MATRICES), n, n))
         one, none = np.eye(n), np.zeros((n, n))
         still = replace(
             self.signals, time_s=np.zeros(n), coil=np.zeros((n, self.signals.coil.shape[1]))
         )
-        for k in range(3):
-            q, qd, qdd = (one if k == i else none for i in range(3))
+        found = []
+        for moving in _MATRICES.values():
+            q, qd, qdd = (one if name == moving else none for name in _MATRICES.values())
             force = placed.term(replace(still, q=q, qd=qd, qdd=qdd)).force
-            found[k] = 0.0 if force is None else -force.T
-        return found
+            found.append(none if force is None else -force.T)
+        return np.array(found)
 
     def missing_force(self, point: ForceModel) -> Array:
         """Return the force that the model with its effects lacks (rows, n)."""
@@ -252,7 +256,7 @@ class ForceRecord:
         """
         model, kind = point.model, 1 if effect.effect_class in _INERTIA else 2
         parts = self._parts_of(point, effect, shape, keep, passed)
-        changes = np.zeros((len(parts), 3, *self.kept[0].shape))
+        changes = np.zeros((len(parts), len(GROUPS), *self.kept[0].shape))
         for i, (plain, held, false) in enumerate(parts):
             if held is not None:
                 changes[i, 0] += self._products(model, B=held)
@@ -300,7 +304,8 @@ class ForceRecord:
         if all(p.effect.identity == effect.identity for p in chain):
             chain = ()
         numbers = tuple((p.effect.identity, p.shape, p.amplitudes) for p in chain)
-        key = (effect.identity, shape, delay_s, lag_s, passed and bool(chain), numbers)
+        timing = (delay_s, lag_s)
+        key = (timing, effect.identity, shape, passed and bool(chain), numbers)
         parts = self._parts.get(key) or self._recent.get(key)
         if parts is None:
             late = max(round((delay_s + self.band.own_delay_s) / self.band.Ts_s), 0)
@@ -314,7 +319,7 @@ class ForceRecord:
                 parts = [(force, *p[1:]) for force, p in zip(once, parts, strict=True)]
             if keep and not chain:
                 # Signals of another delay or lag are of no use any more.
-                if self._parts and next(iter(self._parts))[2:4] != key[2:4]:
+                if self._parts and next(iter(self._parts))[0] != timing:
                     self._parts.clear()
                 self._parts[key] = parts
             else:

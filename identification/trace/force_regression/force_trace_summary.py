@@ -14,6 +14,7 @@ from ....config.model import EffectParameter, ModelConfig, ModelEffect
 from ....model.effects.base import Effect, Placed
 from ....model.effects.freeform import depends_on
 from ...json_data import plain_json
+from ...value_with_interval import PERCENT, percent
 from ..parameter_covariance import parameter_covariance
 from .certainty_of_effects import is_told
 from .free_numbers import at_limits, by_value, numbers_of
@@ -91,7 +92,7 @@ class FoundLaw:
         """
         if self.free:
             return ()
-        left = f"{100 * self.left_share:.2g} %"
+        left = percent(self.left_share)
         pair = " and ".join(self.placed.effect.equal_numbers or ())
         more, farther = self.grew
         reasons = {
@@ -99,7 +100,7 @@ class FoundLaw:
             f"of the squared missing force without it, {left} is left": (
                 self.left_share > self.least_gain
             ),
-            f"without what is in doubt, {100 * self.leaning:.2g} % is left beside it": (
+            f"without what is in doubt, {percent(self.leaning)} is left beside it": (
                 self.leaning > self.least_gain
             ),
             "no amplitude of it is told from zero": not self.told,
@@ -181,7 +182,7 @@ class FoundLaw:
         title = self.curve.placed.effect.title
         return (
             f"a {title[0].lower()}{title[1:]} in a way that no law of the table has would take "
-            f"{100 * self.curve.share:.2g} % of the squared missing force that is left"
+            f"{percent(self.curve.share)} of the squared missing force that is left"
         )
 
     @property
@@ -271,7 +272,7 @@ class ForceOutcome:
     def lacks(self) -> list[str]:
         """What no law of the table describes at a DOF, in a clause each."""
         return [
-            f"an unlisted function of the motion would take {100 * share:.2g} % of the squared "
+            f"an unlisted function of the motion would take {percent(share)} of the squared "
             f"missing force at {name}"
             for name, share in self.lacking.items()
         ]
@@ -327,7 +328,7 @@ def _worth(trace: ForceTrace, left: Array, form: Array) -> dict[str, float]:
     options, found = trace.options, {}
     for name, before, after in zip(trace.places.dof, left, form, strict=True):
         share = 1.0 - (after / before) ** 2 if before > 0.0 else 0.0
-        if share > options.least_free_gain and before - after > 100.0 * options.least_force:
+        if share > options.least_free_gain and before - after > PERCENT * options.least_force:
             found[name] = float(share)
     return found
 
@@ -346,7 +347,7 @@ def _nearest(trace: ForceTrace) -> str:
             elif r.force <= options.least_force:
                 why = "is too small to matter"
             return (
-                f"{which} {r.placed.effect.name}, which would take {100 * r.share:.0f} % of the "
+                f"{which} {r.placed.effect.name}, which would take {r.share:.0%} of the "
                 f"squared missing force{rest} and {why}"
             )
     return ""
@@ -560,7 +561,7 @@ def _kind(rated: Rated) -> tuple[str, tuple[str, ...]]:
 
 def _percent(error: Any) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(100.0 * error.force / error.force_acting)
+        return np.asarray(PERCENT * error.force / error.force_acting)
 
 
 def _effect(law: FoundLaw) -> dict[str, Any]:

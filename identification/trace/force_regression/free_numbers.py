@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Placed, Quantity
+from ...rounding import DIFFERENCE
 from .force_record import ForceModel
 
 Array = NDArray[np.float64]
@@ -67,7 +68,7 @@ def way(begin: ForceModel, point: ForceModel) -> Array:
 
 def shapes_beside(q: Quantity, shape: Shape, i: int) -> tuple[Shape, Shape, float]:
     """Return the shapes below and above, within the bounds, and their distance."""
-    step = 1e-3 * abs(shape[i]) if q.log else 1e-5 * (q.high - q.low)
+    step = q.difference * abs(shape[i]) if q.log else DIFFERENCE * (q.high - q.low)
     low, high = list(shape), list(shape)
     low[i], high[i] = max(low[i] - step, q.low), min(high[i] + step, q.high)
     return tuple(low), tuple(high), high[i] - low[i]

@@ -13,11 +13,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rounding import RIDGE, ROUNDING, TINY
+
 Array = NDArray[np.float64]
 
-_RIDGE = 1e-10
-"""Relative to the columns' squares: keeps parallel columns solvable, far above rounding."""
-_FORETOLD = 4.0
+_FORETOLD = 2.0**2
 """Variances of chance that a record must be foretold to contradict: two standard deviations."""
 _NOISE_DEVIATIONS = 2.0
 """An effect of size s gains s, with a standard deviation of 2 sqrt(s) by noise of unit variance."""
@@ -87,7 +87,7 @@ def fitted(gram: Array, prior: Array | None = None) -> Array:
         A, b = A + prior[:-1, :-1], b + prior[:-1, -1]
     size = _sizes(A)
     scaled = A / size[..., :, None] / size[..., None, :]
-    scaled = scaled + _RIDGE * np.eye(A.shape[-1])
+    scaled = scaled + RIDGE * np.eye(A.shape[-1])
     return np.asarray(np.linalg.solve(scaled, (b / size)[..., None])[..., 0] / size)
 
 
@@ -137,7 +137,7 @@ class Columns:
         whole = np.column_stack([coefficients, np.ones(len(errors))])
         power = np.einsum("bi,nij,bj->bn", whole, self.power, whole)
         now = self.power[:, -1, -1]
-        relative = now / np.maximum(power, 1e-12 * np.maximum(now, np.finfo(float).tiny))
+        relative = now / np.maximum(power, ROUNDING * np.maximum(now, TINY))
         return np.asarray(errors * np.maximum(relative, 1.0))
 
     def over(self, inside: NDArray[np.bool_]) -> Array:
@@ -160,7 +160,7 @@ def error_of_mean(gains: Array, size: Array) -> float:
     from the others: a large effect in one block and a small one in another scatter little if they
     agree, and one block alone tells nothing.
     """
-    others = np.maximum(size.sum() - size, np.finfo(float).tiny)
+    others = np.maximum(size.sum() - size, TINY)
     expected = size * (gains.sum() - gains) / others
     return float(np.linalg.norm(gains - expected)) / len(gains)
 
@@ -204,7 +204,7 @@ class Gain:
     @property
     def statistic(self) -> float:
         """Mean over its standard error."""
-        return self.mean / max(self.standard_error, np.finfo(float).tiny)
+        return float(self.mean / max(self.standard_error, TINY))
 
     @property
     def elsewhere(self) -> bool:
@@ -231,7 +231,7 @@ def gain_of(
     without_it = before.left_out_errors_by_dof()
     by_dof = without_it - after.left_out_errors_by_dof()
     taken, there = by_dof.sum(axis=0), without_it.sum(axis=0)
-    share = float(np.max(taken / np.maximum(there, np.finfo(float).tiny)))
+    share = float(np.max(taken / np.maximum(there, TINY)))
     raw = by_dof.sum(axis=1)
     blocks = np.minimum(raw, bounded(raw, size))
     groups = record if len(set(record.tolist())) > 1 else np.arange(len(record)) * 2 // len(record)
@@ -269,7 +269,7 @@ def _foretold(rest: Array, own: Array, base: int, extra: Array) -> bool:
     """
     there, known = (_beside(gram[:-1, :-1], base) for gram in (own, rest))
     size = _sizes(known)
-    inverse = np.linalg.inv(known / size[:, None] / size + _RIDGE * np.eye(len(known)))
+    inverse = np.linalg.inv(known / size[:, None] / size + RIDGE * np.eye(len(known)))
     uncertain = float(np.trace(there @ (inverse / size[:, None] / size)))
     return float(extra @ there @ extra) > _FORETOLD * (uncertain + 1.0)
 
@@ -278,7 +278,7 @@ def _beside(A: Array, base: int) -> Array:
     """Return the Gram matrix of the columns behind `base`, with those before projected out."""
     size = _sizes(A)
     scaled = A / size[:, None] / size
-    inner = scaled[:base, :base] + _RIDGE * np.eye(base)
+    inner = scaled[:base, :base] + RIDGE * np.eye(base)
     cross = scaled[:base, base:]
     left = scaled[base:, base:] - cross.T @ np.linalg.solve(inner, cross)
     return np.asarray(left * size[base:, None] * size[base:])

@@ -20,22 +20,21 @@ from scipy.fft import irfft
 from scipy.signal import csd, fftconvolve
 
 from ...greybox.experiment.intersample_input import Hold
+from ...rounding import ROUNDING
 from ...subspace.response_uncertainty import SURE_95
 from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
 from .free_numbers import moved_by, numbers, way
 from .intervals import Influences
 from .residual_whitening import SEGMENTS
-from .training_records import Training
+from .training_records import HALVINGS, STEPS, Training
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_STEPS, _HALVINGS = 20, 6
-_CONVERGED = 1e-4
+_CONVERGED = SearchOptions.accuracy**2
 """Of the square that one column takes by chance: no number is a hundredth of its error away."""
-_RIDGE = 1e-9
-"""Of the largest spectrum: where the causes have less, there is no response to them."""
 
 
 def projected(records: Sequence[TraceRecord]) -> tuple[TraceRecord, ...] | None:
@@ -79,7 +78,7 @@ def _response(spectra: Sequence[tuple[Complex, Complex]], w: Array, rows: int) -
     size = np.sqrt(np.einsum("fii->i", of_causes).real)
     size = np.where(size > 0.0, size, 1.0)
     scaled = of_causes / np.outer(size, size)
-    scaled = scaled + _RIDGE * np.abs(scaled).max() * np.eye(len(size))
+    scaled = scaled + ROUNDING * np.abs(scaled).max() * np.eye(len(size))
     gains = np.linalg.solve(scaled, sum(s for _, s in spectra) / size[:, None]) / size[:, None]
     impulses = np.roll(irfft(gains, rows, axis=0), rows // 2, axis=0)  # (rows, m, c)
     moved = [
@@ -157,13 +156,13 @@ def fit_with_instruments(
     None if more of it is left there than by chance in one of them.
     """
     begin = point
-    for _ in range(_STEPS):
+    for _ in range(STEPS):
         step, part = training.step(point, way(begin, point), instruments)
         left = float(part @ part)
         chance = training.at(point).squares / training.independent
         if left < _CONVERGED * chance:
             return point
-        for halving in range(_HALVINGS):
+        for halving in range(HALVINGS):
             moved = moved_by(point, step * 0.5**halving)
             _, after = training.step(moved, way(begin, moved), instruments)
             if after @ after < left:

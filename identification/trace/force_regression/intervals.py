@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Placed
+from ...rounding import DIFFERENCE, ROUNDING, TINY
 from ...subspace.response_uncertainty import SURE_95
 from .candidate_fit import flat
 from .force_record import ForceModel, ForceRecord
@@ -16,11 +17,6 @@ from .free_numbers import numbers, numbers_of
 from .training_records import Training
 
 Array = NDArray[np.float64]
-
-_ROUNDING = 1e-9
-"""Largest change of the forces by all of a number, over these, that is none."""
-_DIFFERENCE = 1e-4
-"""Half step of the central differences, as a share of a parameter's scale."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +83,14 @@ class Influences:
         size = np.linalg.norm(flat(columns), axis=0)
         values = np.abs(numbers(point))
         values[: len(point.values)] = 1.0  # columns of parameters are in their scale
-        silent = size * np.where(values > 0.0, values, 1.0) <= _ROUNDING * np.sqrt(at.power.sum())
+        silent = size * np.where(values > 0.0, values, 1.0) <= ROUNDING * np.sqrt(at.power.sum())
         size = np.where(silent, 1.0, size)
         own = columns if instruments is None else instruments.columns_at(point)
         products = training.blocks.products(own, columns, at.missing) / size[:, None]
         rows = point.parameters.prior_rows(point.values)[:, :-1]
         prior = np.hstack([rows, np.zeros((len(rows), len(size) - rows.shape[1]))]) / size
         inner = products[:, :, :-1].sum(axis=0) / size + prior.T @ prior
-        inverse = np.linalg.pinv(inner, rcond=1e-10)
+        inverse = np.linalg.pinv(inner, rcond=ROUNDING)
         scores = products[:, :, -1]
         scores = (scores - scores.mean(axis=0)) * np.sqrt(len(scores) / max(len(scores) - 1, 1))
         unit = np.concatenate([point.parameters.scale, np.ones(len(size) - len(point.values))])
@@ -123,9 +119,9 @@ def relative_force_errors(
                 ends = []
                 for sign in (1.0, -1.0):
                     values = point.values
-                    values[i] += sign * _DIFFERENCE * point.parameters.scale[i]
+                    values[i] += sign * DIFFERENCE * point.parameters.scale[i]
                     ends.append(np.log(_sizes(point.with_values(values), p, records)))
-                step = 2.0 * _DIFFERENCE * point.parameters.scale[i]
+                step = 2.0 * DIFFERENCE * point.parameters.scale[i]
                 gradients[:, i] = (ends[0] - ends[1]) / step
         amplitudes = np.array(p.amplitudes)
         gradients *= amplitudes[:, None]
@@ -141,4 +137,4 @@ def _sizes(point: ForceModel, placed: Placed, records: Sequence[ForceRecord]) ->
     """Return the size of the force of one unit of each amplitude of an effect."""
     forces = [r.effect_forces(point, placed.effect, placed.shape) for r in records]
     squares = np.sum([np.sum(f**2, axis=(1, 2)) for f in forces], axis=0)
-    return np.asarray(np.sqrt(np.maximum(squares, np.finfo(float).tiny)))
+    return np.asarray(np.sqrt(np.maximum(squares, TINY)))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
 
 Array = NDArray[np.float64]
@@ -23,7 +24,6 @@ _APART = 0.5
 """Cycles over the travel between neighbouring periods: of a line, half of its width."""
 _MOST_CYCLES = 1000.0
 _ROWS_PER_CYCLE = 4.0
-_MOST_LINES = 3
 
 
 @dataclass(frozen=True)
@@ -72,13 +72,13 @@ def _force_of(record: ForceRecord, point: ForceModel, actuator: int) -> Array:
 def _lines(q: Array, qd: Array, missing: Array, size: Array, limit_hz: float) -> tuple[float, ...]:
     travel = float(np.ptp(q))
     cycles = np.arange(_APART, min(_MOST_CYCLES, len(q) / _ROWS_PER_CYCLE), _APART)
-    if travel <= 0.0 or len(cycles) < 3:
+    if travel <= 0.0 or len(cycles) <= 2:
         return ()
     power = np.array([_power(q, qd, missing, size, travel / n, limit_hz) for n in cycles.tolist()])
     # A period longer than the travel has its peak at the begin.
     inner, before = power[:-1], np.concatenate([[0.0], power[:-2]])
     peaks = np.flatnonzero((inner > before) & (inner >= power[1:]))
-    strongest = peaks[np.argsort(power[peaks])[::-1]][:_MOST_LINES]
+    strongest = peaks[np.argsort(power[peaks])[::-1]][: SearchOptions.patience]
     return tuple((travel / cycles[strongest]).tolist())
 
 

@@ -14,6 +14,8 @@ from ...greybox.free_run.free_run_noise_floor import floor_rms
 from ...greybox.prediction.noise_model import Noise
 from ...greybox.validation import metric_of
 from ...records.record import IdentificationError
+from ...rounding import ROUNDED_SD, SINGLE_ROUNDING, TINY
+from ...value_with_interval import PERCENT
 from ..linearised.linearisation_point import WorkingPoint
 from ..records.record_from_log import TraceRecord
 from ..records.sensor_and_amplifier_noise import Disturbance
@@ -24,8 +26,6 @@ from .force_record import ForceModel, ForceRecord
 Array = NDArray[np.float64]
 Metric = Literal["free_run", "force"]
 
-_ROUNDING = 1e-7
-"""Least noise over the motion's RMS, 23 bits: simulated records may have none."""
 _DIVERGED = 100.0
 """Error over the output's standard deviation above which a simulation has diverged."""
 
@@ -64,10 +64,10 @@ def output_noise(records: Sequence[TraceRecord]) -> Array:
         step = np.full(n, np.nan) if e.resolution is None else e.resolution
         seen = np.array([_step(column) for column in e.y.T])
         step = np.where(np.isfinite(step), step, np.where(np.isfinite(own), 0.0, seen))
-        sd = np.where(np.isfinite(own), np.hypot(own, step / np.sqrt(12.0)), white_noise(e.y))
-        found.append(np.maximum(sd, step / np.sqrt(12.0)))
+        sd = np.where(np.isfinite(own), np.hypot(own, ROUNDED_SD * step), white_noise(e.y))
+        found.append(np.maximum(sd, ROUNDED_SD * step))
     spread = np.max([r.experiment.y.std(axis=0) for r in records], axis=0)
-    return np.asarray(np.maximum(np.median(found, axis=0), _ROUNDING * spread))
+    return np.asarray(np.maximum(np.median(found, axis=0), SINGLE_ROUNDING * spread))
 
 
 def _step(values: Array) -> float:
@@ -129,7 +129,7 @@ def _simulated(
     """Return the RMS error (n,) of a free run, nan if it diverges or does not converge, and whether
     it converged."""
     e, sd = record.experiment, seen.noise_sd
-    density = np.maximum(missing.var(axis=0) / (2.0 * seen.band.cutoff_hz), np.finfo(float).tiny)
+    density = np.maximum(missing.var(axis=0) / (2.0 * seen.band.cutoff_hz), TINY)
     noise = Noise.independent(density, sd**2)
     disturbance = Disturbance(noise, float(np.median(sd)), measured=False)
     at = WorkingPoint(point.model, point.parameters, point.placed, disturbance, seen.band.hold)
@@ -170,6 +170,6 @@ class PooledError:
             return cls(
                 rms("error"),
                 rms("floor"),
-                100.0 * rms("error") / rms("output"),
-                100.0 * rms("force") / rms("force_acting"),
+                PERCENT * rms("error") / rms("output"),
+                PERCENT * rms("force") / rms("force_acting"),
             )

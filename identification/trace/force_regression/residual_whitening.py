@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.signal import welch
 
+from ...rounding import ROUNDING
+
 Array = NDArray[np.float64]
 
 SEGMENTS = 4
@@ -84,10 +86,10 @@ def whitening_of(residuals: Sequence[Array], row_s: Sequence[float], cutoff_hz: 
         density += share * np.stack(columns, axis=1)
     inside = (freq_hz > 0.0) & (freq_hz <= cutoff_hz)
     smooth = _smoothed(density[inside])
-    return Whitening(freq_hz[inside], np.maximum(smooth, 1e-12 * smooth.max(axis=0)), cutoff_hz)
+    return Whitening(freq_hz[inside], np.maximum(smooth, ROUNDING * smooth.max(axis=0)), cutoff_hz)
 
 
 def _smoothed(density: Array) -> Array:
     """Return the mean of each value and its two neighbours."""
     padded = np.vstack([density[:1], density, density[-1:]])
-    return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3.0)
+    return np.asarray(np.mean([padded[:-2], padded[1:-1], padded[2:]], axis=0))

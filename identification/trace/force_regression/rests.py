@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from ..search_options import SearchOptions
+
 Array = NDArray[np.float64]
 
-_SURELY = 5.0
-"""Standard deviations of its noise that a speed exceeds once in two million rows."""
 _TURNS = 2.0
 """Duration over that of a turn from which on it is a rest: as if it turned at half the rate."""
 
@@ -27,7 +27,8 @@ def moving_rows(
     noise = sd * 2.0 * np.pi * np.sqrt(2.0 * Ts_s * speed_hz**3 / 3.0)
     memory = max(round(memory_s / Ts_s), 1)
     found = np.ones(speed.shape, bool)
-    for i, (own, limit) in enumerate(zip(speed.T, _SURELY * noise, strict=True)):
+    surely = SearchOptions.chance(len(speed))
+    for i, (own, limit) in enumerate(zip(speed.T, surely * noise, strict=True)):
         rests = _rests(np.abs(own), float(limit), memory)
         near = binary_dilation(rests, np.ones(memory // 2 * 2 + 1, bool))
         if not near.all():

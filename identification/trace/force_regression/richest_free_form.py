@@ -10,6 +10,8 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ....model.effects.base import Signals
+from ...rounding import ROUNDING, TINY
+from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
 
 Array = NDArray[np.float64]
@@ -19,9 +21,8 @@ _TURNS = (0.02, 0.15)
 """Speeds at which a friction turns, over the RMS speed."""
 _ALONG = 3
 """Degree in the position of friction that changes along the way."""
-_WIDE = 3.0
+_WIDE = SearchOptions.standard_errors
 """Range of a polynomial in standard deviations; outside it is constant."""
-_RANK = 1e-8
 _ROWS_PER_NUMBER = 5.0
 """Independent rows for each number of the free form, at least."""
 
@@ -53,9 +54,9 @@ def residual_of_richest(
             ]
         )
         b = np.concatenate([m[:, i : i + 1] for m in missing])
-        A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
+        A = A / np.maximum(np.linalg.norm(A, axis=0), TINY)
         U, size, _ = np.linalg.svd(A, full_matrices=False)
-        U = U[:, size > _RANK * size[0]]
+        U = U[:, size > ROUNDING * size[0]]
         # Short records determine only some combinations: those that explain most.
         most = max(int(independent / _ROWS_PER_NUMBER), 1)
         U = U[:, np.argsort(-np.abs(U.T @ b)[:, 0])[:most]]
@@ -105,10 +106,10 @@ def foretold(
             for r, w, c in zip(records, whole, own, strict=True)
         ]
         A, b = np.vstack(columns), np.concatenate([m[:, i] for m in missing])
-        A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
+        A = A / np.maximum(np.linalg.norm(A, axis=0), TINY)
         rest = np.empty_like(b)
         for held in (number % 2 == 0, number % 2 == 1):
-            rest[held] = b[held] - A[held] @ np.linalg.lstsq(A[~held], b[~held], rcond=_RANK)[0]
+            rest[held] = b[held] - A[held] @ np.linalg.lstsq(A[~held], b[~held], rcond=ROUNDING)[0]
         found[k, i] = np.sqrt(np.mean(rest**2))
     return found
 
@@ -134,7 +135,7 @@ def _forms(s: Signals, unlisted: bool, commands: bool = True) -> list[Array]:
     for x in motion:
         found += list(_polynomials(x, _DEGREE))
     for place, speed in zip(_scaled(s.q), s.qd.T, strict=True):
-        rms = max(float(speed.std()), np.finfo(float).tiny)
+        rms = max(float(speed.std()), TINY)
         for turn in _TURNS:
             rubs = np.tanh(speed / (turn * rms))
             found += [rubs, *(rubs * _polynomials(place, _ALONG) if unlisted else ())]
@@ -156,7 +157,7 @@ def _held_forms(s: Signals) -> list[Array]:
 
 def _scaled(values: Array) -> list[Array]:
     """Return each column over its range of three standard deviations, about its mean."""
-    return [(x - x.mean()) / max(_WIDE * float(x.std()), np.finfo(float).tiny) for x in values.T]
+    return [(x - x.mean()) / max(_WIDE * float(x.std()), TINY) for x in values.T]
 
 
 def _polynomials(x: Array, degree: int) -> Array:

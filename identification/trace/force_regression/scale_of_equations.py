@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rounding import ROUNDING
 from .force_record import ForceModel
 from .training_records import Evaluated, Training
 
@@ -60,7 +61,7 @@ def _parameter_to_hold(
     columns = np.column_stack([J, *whole])
     size = np.linalg.norm(columns, axis=0)
     size = np.where(size > 0.0, size, 1.0)
-    way = np.linalg.lstsq(columns / size, target, rcond=1e-9)[0]
+    way = np.linalg.lstsq(columns / size, target, rcond=ROUNDING)[0]
     left = target - columns / size @ way
     if left @ left > told * float(target @ target):
         return None
@@ -68,7 +69,7 @@ def _parameter_to_hold(
     known = share * np.isfinite(free.prior_sd)
     if known.max() > 0.0:
         return int(np.argmax(known))
-    kinds = np.stack([np.sum(c**2, axis=(2, 3)) for c in changes]).sum(axis=0)  # (F, 3)
+    kinds = np.stack([np.sum(c**2, axis=(-2, -1)) for c in changes]).sum(axis=0)  # (F, groups)
     for kind in (0, 1, 2):
         own = share * (kinds[:, kind] == kinds.max(axis=1)) * (kinds[:, kind] > 0.0)
         if own.max(initial=0.0) > 0.0:

@@ -26,6 +26,8 @@ from ...greybox.force_balance.band_limited_signals import (
 from ...greybox.free_parameters import free_parameters
 from ...greybox.identify_greybox import stated_noise
 from ...records.record import IdentificationError
+from ...rounding import TINY
+from ...value_with_interval import PERCENT
 from ..records.check_common_session_time import overlap
 from ..records.coil_load_history import in_one_session
 from ..records.initial_guesses import extent
@@ -156,7 +158,7 @@ def _traced(
     covered = replace(covered, fastest_hz=min(covered.fastest_hz, 2.0 * limit_hz))
     model = declared_model(config)
 
-    progress("fitting the declared model", 0.05)
+    progress("fitting the declared model", options.share_done(-1))
     placed = placed_effects(config.effects, places, covered)
     start = ForceModel(model, free_parameters(config), placed)
     training, start, held = _unweighed(start, fitted, limit_hz, options)
@@ -169,7 +171,7 @@ def _traced(
         found = search(declared, table.named, free, training, options, progress, begun)
         found = with_simpler_laws(found, table.named, training, options)
         found = with_plain_laws(found, training, options)
-        progress("intervals", 0.9)
+        progress("intervals", options.share_done(options.most_effects))
         last = judged(found, training)
         while (empty := last.says_nothing(options)) is not None:
             found = without_effect(found, empty, training)
@@ -197,7 +199,7 @@ def _traced(
         if not training.whitening.flat:
             found, last = searched(training, replace(found, point=point))
     curves = curves_beside_laws(found.point, free, training, options)
-    progress("reporting on unseen rows", 0.95)
+    progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
     if not found.rated:
         declared = found.point  # nothing was found: use its numbers
     before, after = (
@@ -206,8 +208,8 @@ def _traced(
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors, before,
-        after, 100.0 * last.form, 100.0 * last.unseen, last.left_share, last.leaning, curves, sd,
-        stated, limit_hz, fitted, reported,
+        after, PERCENT * last.form, PERCENT * last.unseen, last.left_share, last.leaning, curves,
+        sd, stated, limit_hz, fitted, reported,
         (*notes, *held, *table.notes, *_at_limits(found.point), *_held(found.point)), options,
     )  # fmt: skip
 
@@ -278,7 +280,7 @@ def _unweighed(
 ) -> tuple[Training, ForceModel, tuple[str, ...]]:
     """Return the training records without weights, the model fitted to them, and notes on it."""
     acting = np.concatenate([r.groups(start) for r in fitted], axis=1)
-    flat = np.maximum(np.var(acting, axis=1).max(axis=0), np.finfo(float).tiny) * np.ones((2, 1))
+    flat = np.maximum(np.var(acting, axis=1).max(axis=0), TINY) * np.ones((2, 1))
     plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
     blocks = Blocks.of([r.rows for r in fitted], options.blocks)
     training = Training.unscaled(fitted, plain, blocks)

@@ -11,23 +11,22 @@ from scipy.optimize import lsq_linear
 
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
-from .force_record import ForceModel, ForceRecord
+from ...rounding import DIFFERENCE, TINY, basis_of
+from ..search_options import SearchOptions
+from .force_record import GROUPS, ForceModel, ForceRecord
 from .free_numbers import Shape, moved_by, numbers_of, room, shapes_beside, way
 from .held_out_gain import Blocks, Columns
 from .residual_whitening import Whitening
 
 Array = NDArray[np.float64]
 
-_HALF_STEP = 1e-4
-"""Half step of the central differences, as a share of a parameter's scale."""
 _DAMPING = 1e-3
 """Weight of the way from a fit's begin, relative to the columns: what these do not tell apart stays
 where it was."""
-_STEPS, _HALVINGS = 20, 6
-_HOPELESS = 0.1
+STEPS, HALVINGS = 20, 6
+_HOPELESS = SearchOptions.least_gain
 _CONVERGED = 1e-6
 """Share of the squared residual that a step must take for another one."""
-_TINY = np.finfo(float).tiny
 _DELAYS = (-2.0, -1.0, 1.0, 2.0, 4.0)
 """Delays in rows, beside the model's own, from which a first fit starts."""
 
@@ -86,7 +85,7 @@ class Training:
         """Return training records before `with_scale` has found what sets the equations' scale."""
         n = records[0].kept[0].shape[1]
         none = np.full(n, np.nan), np.zeros(n, bool)
-        return cls(records, whitening, blocks, np.zeros((3, n)), *none)
+        return cls(records, whitening, blocks, np.zeros((len(GROUPS), n)), *none)
 
     def at(self, point: ForceModel) -> Evaluated:
         """Return the missing force of a model, and the forces that it consists of."""
@@ -126,7 +125,7 @@ class Training:
             ],
             axis=0,
         )
-        return forces, along / np.maximum(at.power, _TINY)
+        return forces, along / np.maximum(at.power, TINY)
 
     def effect_changes(self, at: Evaluated, placed: Placed) -> list[Array]:
         """Return the changes of the groups by an effect's free numbers (c, 3, rows, n)."""
@@ -201,16 +200,16 @@ class Training:
 
     def _parameter_changes(self, at: Evaluated) -> list[Array]:
         """Return the changes of the groups by each free parameter in its scale (F, 3, rows, n)."""
-        point, steps = at.point, _HALF_STEP * np.diag(at.point.parameters.scale)
+        point, steps = at.point, DIFFERENCE * np.diag(at.point.parameters.scale)
         pairs = [
             (point.with_values(point.values - step), point.with_values(point.values + step))
             for step in steps
         ]
         found = []
         for r in self.records:
-            changes = np.zeros((len(pairs), 3, *r.kept[0].shape))
+            changes = np.zeros((len(pairs), len(GROUPS), *r.kept[0].shape))
             for i, (low, high) in enumerate(pairs):
-                changes[i] = (r.groups(high) - r.groups(low)) / (2 * _HALF_STEP)
+                changes[i] = (r.groups(high) - r.groups(low)) / (2 * DIFFERENCE)
             found.append(self._weighed(r, changes))
         return found
 
@@ -232,9 +231,9 @@ class Training:
         if not point.parameters.names and not point.placed:
             return point
         squares, begin = self.cost(point), point
-        for _ in range(_STEPS):
+        for _ in range(STEPS):
             step, _ = self.step(point, way(begin, point))
-            for halving in range(_HALVINGS):
+            for halving in range(HALVINGS):
                 moved = moved_by(point, step * 0.5**halving)
                 after = self.cost(moved)
                 if after < squares:
@@ -274,7 +273,7 @@ class Training:
         power = np.zeros((len(at.power), len(wide), len(wide)))
         for changes, now in zip(groups, at.groups, strict=True):
             whole = np.concatenate([changes, now[None]]) * self.scale[:, None]
-            whole = np.moveaxis(whole, 3, 0).reshape(len(at.power), len(wide), -1)
+            whole = np.moveaxis(whole, -1, 0).reshape(len(at.power), len(wide), -1)
             power += whole @ np.swapaxes(whole, 1, 2)
         return Columns(self.blocks.grams(columns, at.missing), power, wide)
 
@@ -284,10 +283,10 @@ class Training:
         A force sets the scale if more than `told_from_model` of its square is beside the columns.
         """
         changes, n = self.group_columns(at), len(at.power)
-        columns, scale = self.columns(at, changes), np.zeros((3, n))
+        columns, scale = self.columns(at, changes), np.zeros((len(GROUPS), n))
         for i in range(n):
             J = np.concatenate([c[:, :, i] for c in columns], axis=1).T
-            for kind in range(3):
+            for kind in range(len(GROUPS)):
                 force = np.concatenate([g[kind, :, i] for g in at.groups])
                 left = _beside(J, force)
                 scale[kind, i] = left @ left > told_from_model * float(force @ force)
@@ -374,7 +373,7 @@ class Training:
     def _weighed(self, record: ForceRecord, values: Array) -> Array:
         white = self.whitening.apply(values, record.band.row_s)
         constant = self.whitening.apply(record.moves, record.band.row_s)
-        squares = np.maximum(np.sum(constant * constant, axis=0), _TINY)
+        squares = np.maximum(np.sum(constant * constant, axis=0), TINY)
         share = np.sum(white * constant, axis=-2, keepdims=True) / squares
         return np.asarray(white - share * constant)
 
@@ -396,16 +395,14 @@ def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[n
 
 def _beside(J: Array, force: Array) -> Array:
     """Return what columns (rows, C) leave of a force (rows,)."""
-    size = np.linalg.norm(J, axis=0)
-    Q, R = np.linalg.qr(J[:, size > 0.0] / size[size > 0.0])
-    Q = Q[:, np.abs(np.diag(R)) > 1e-10]
+    Q = basis_of(J)
     return np.asarray(force - Q @ (Q.T @ force))
 
 
 def missing_share(at: Evaluated) -> Array:
     """Return the missing force over the acting force (n,)."""
     squares = np.sum([np.sum(m * m, axis=0) for m in at.missing], axis=0)
-    return np.asarray(np.sqrt(squares) / at.share / np.maximum(acting_force(at), _TINY))
+    return np.asarray(np.sqrt(squares) / at.share / np.maximum(acting_force(at), TINY))
 
 
 def acting_force(at: Evaluated) -> Array:

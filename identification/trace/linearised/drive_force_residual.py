@@ -14,6 +14,7 @@ from scipy.signal import welch
 
 from ....model.effects.rotor import pushes
 from ...greybox.experiment.intersample_input import held_step, lagged_input
+from ...rounding import TINY
 from ..records.effect_signals import products
 from .innovations_filter_bank import thinned
 from .linearisation_point import Along
@@ -83,7 +84,7 @@ def _basis(here: Along, every: int) -> Array:
             _accelerations(here),
         ]
     )  # fmt: skip
-    size = np.maximum(np.abs(own).max(axis=0), np.finfo(float).tiny)
+    size = np.maximum(np.abs(own).max(axis=0), TINY)
     return np.asarray(np.linalg.qr(thinned(own / size, every))[0])
 
 

@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
-
-BLOCK_S = 4.0
-"""Length of a time block, longer than the platform's memory, so that blocks are independent."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,7 @@ def grams(
 
 def block_edges(rows: int, row_s: float) -> NDArray[np.int64]:
     """Return the begin of all blocks and the end of the last; all have at least half a block."""
-    block = max(round(BLOCK_S / row_s), 1)
+    block = max(round(SearchOptions.block_s / row_s), 1)
     return np.append(np.arange(0, max(rows - block // 2, 1), block), rows)
 
 

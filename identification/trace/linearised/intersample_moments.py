@@ -40,14 +40,16 @@ def around(force: Array) -> Array:
 
     The force is constant beyond its ends. In this layout the moments are one matrix product.
     """
-    padded = np.concatenate([np.repeat(force[:1], 2, 0), force, np.repeat(force[-1:], 3, 0)])
+    padded = np.concatenate(
+        [np.repeat(force[:1], 2, 0), force, np.repeat(force[-1:], POINTS // 2, 0)]
+    )
     n = padded.shape[1]
     return np.ascontiguousarray(sliding_window_view(padded.ravel(), POINTS * n)[::n])
 
 
 def polynomial_weights(Ts_s: float, order: int) -> Array:
     """Return weights w (order, 6): moment j of period k is w[j] times rows k - 2 to k + 3."""
-    nodes = np.arange(-2.0, 4.0)
+    nodes = np.arange(-2.0, POINTS - 2.0)
     # Columns of the inverse Vandermonde are the Lagrange polynomials' coefficients, s in periods.
     lagrange = np.linalg.inv(np.vander(nodes, POINTS, increasing=True))
     weights = np.empty((order, POINTS))

@@ -22,6 +22,7 @@ from ...records.record import IdentificationError
 from ..records.effect_signals import measured_signals
 from ..records.record_from_log import TraceRecord
 from ..records.sensor_and_amplifier_noise import Disturbance
+from ..search_options import SearchOptions
 from .innovations_filter_bank import thinned
 from .intersample_moments import force_moments, nonzero_columns
 
@@ -29,10 +30,10 @@ Array = NDArray[np.float64]
 
 _TO_HZ = 250.0
 """Errors are decimated to this rate; the platform's response is below half of it."""
-_MOST_TRUST = 1e3
+MOST_TRUST = 1e3
 _NOISE_REACH = 21.0
 _MOST_FILTERS = 8
-_MOST_PASSES, _SETTLED = 4, 0.01
+_MOST_PASSES, _SETTLED = 4, SearchOptions.accuracy
 """Passes over a record at most; they end where the motion changes by this share of the noise, or by
 more than half as much as before. Of a scale error of 8 %, each leaves 8 % of what was left."""
 
@@ -46,7 +47,7 @@ class WorkingPoint:
     placed: tuple[Placed, ...]
     disturbance: Disturbance
     hold: Hold
-    trust: float = 1e3
+    trust: float = MOST_TRUST
     """Factor on the force noise of the filter that computes the trajectory."""
     reference: DeclaredModel | None = None
     """The model of the filters along moving schedules; None: `model`."""
@@ -128,7 +129,7 @@ def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Sign
     effects and follow the model as far as `trust` allows.
     """
     added = Term()
-    closely = filter_of(point, record, at, _MOST_TRUST)
+    closely = filter_of(point, record, at, MOST_TRUST)
     normal = filter_of(point, record, at, point.trust)
     signals = measured_signals(record, at, record.experiment.y, closely, point.lag_s)
     noise_sd, change = np.sqrt(point.disturbance.noise.output_variance), np.inf

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Effect, Placed, Signals, Term, total
+from ...rounding import DIFFERENCE, ROUNDING, TINY
 from ..records.record_from_log import TraceRecord
 from .drive_force_residual import drive_channel, drive_errors
 from .gram_matrices import Linearised, ResidualChannel, block_edges, grams
@@ -28,13 +29,10 @@ Array = NDArray[np.float64]
 
 Candidate = tuple[Effect, tuple[float, ...]]
 
-_DIFFERENCE_STEP = 1e-5
 _MAX_NUMBERS = 50_000_000
 """Numbers in the candidates' columns at one time, 0.4 GB: those of 100 s at 1 kHz."""
 _ROWS = 256
 """Rows that are projected at once: those of some hundred columns fit into a processor's cache."""
-_ROUNDING = 1e-9
-"""Residual of a column, over its size, below which it is rounding."""
 
 
 def linearise(
@@ -189,11 +187,11 @@ def _project_out_memory(
 def _extended(basis: Array, columns: Array) -> Array:
     """Extend an orthonormal basis by columns (N', n, c)."""
     flat = columns.reshape(len(basis), -1)
-    flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+    flat = flat / np.maximum(np.linalg.norm(flat, axis=0), TINY)
     for _ in range(2):  # twice, for accuracy: the remainder is small
         flat = flat - basis @ (basis.T @ flat)
     left, size, _ = np.linalg.svd(flat, full_matrices=False)
-    return np.hstack([basis, left[:, size > _ROUNDING]])
+    return np.hstack([basis, left[:, size > ROUNDING]])
 
 
 def _rows_of(record: TraceRecord, first: int, last: int) -> tuple[int, int]:
@@ -215,7 +213,7 @@ def effect_terms(placed: Placed, signals: Signals) -> list[Term]:
     terms = placed.effect.build(signals, placed.shape)
     for i, quantity in enumerate(placed.effect.shape):
         span, value = quantity.high - quantity.low, abs(placed.shape[i])
-        step = quantity.difference * value if quantity.log else 1e-6 * span
+        step = quantity.difference * value if quantity.log else DIFFERENCE * span
         low, high = list(placed.shape), list(placed.shape)
         low[i], high[i] = max(low[i] - step, quantity.low), min(high[i] + step, quantity.high)
         lower, upper = (
@@ -249,7 +247,7 @@ def parameter_columns(point: WorkingPoint, bank: FilterBank, s: Signals) -> Arra
 def _parameter_forcings(point: WorkingPoint, bank: FilterBank, s: Signals) -> Iterator[Array]:
     """Yield the change of the state in each period (N, 2n) by each parameter."""
     for name, scale in zip(point.parameters.names, point.parameters.scale, strict=True):
-        value, step = point.model.values[name], _DIFFERENCE_STEP * scale
+        value, step = point.model.values[name], DIFFERENCE * scale
         below, above = value - step, value + step
         timing = name in point.model.lag.names | point.model.delay.names
         if timing:  # at a bound (zero delay), the difference is one-sided

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..search_options import SearchOptions
 from .record_from_log import TraceRecord
-from .resonances import Spectra, clearest
+from .resonances import HIGHEST, Spectra, clearest
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_SEGMENT_S = 4.0
 _LOWEST_HZ, _HIGHEST_HZ = 2.0, 150.0
 _POWERS = (-2, -1, 0, 1, 2, 3)
 """Powers of i omega of the force over the acceleration: stiffness, damping, mass; and a delay."""
@@ -66,13 +66,13 @@ class _Parts:
 
 def _parts(record: TraceRecord) -> _Parts | None:
     e = record.experiment
-    length = round(_SEGMENT_S / e.Ts_s)
+    length = round(SearchOptions.block_s / e.Ts_s)
     late = e.delay_cycles
     if record.rows < length + late:
         return None
     window = np.hanning(length)[:, None]
     freq_hz = np.fft.rfftfreq(length, e.Ts_s)
-    use = (freq_hz >= _LOWEST_HZ) & (freq_hz <= min(_HIGHEST_HZ, 0.4 / e.Ts_s))
+    use = (freq_hz >= _LOWEST_HZ) & (freq_hz <= min(_HIGHEST_HZ, HIGHEST / e.Ts_s))
     omega = 2.0 * np.pi * freq_hz[use][:, None]
     pushed = np.roll(record.coil @ record.places.coil_shape, late, axis=0)
     force, acceleration = [], []

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
+from scipy.signal import savgol_coeffs
 
 from ....model.effects.base import Signals
 from ...greybox.prediction.discretisation import Motion, innovations
@@ -72,9 +74,12 @@ def trajectory(record: TraceRecord, q: Array, coil: Array, lag_s: float) -> Sign
     )
 
 
-def rate(values: Array, Ts_s: float) -> Array:
-    """Return the derivative of samples (N, n) by central differences of fourth order."""
-    result = np.gradient(values, Ts_s, axis=0)
-    inner = 8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])
-    result[2:-2] = inner / (12 * Ts_s)
-    return np.asarray(result)
+def rate(values: Array, Ts_s: float, around: int = 2) -> Array:
+    """Return the derivative of samples (N, n) by central differences over `around` rows on either
+    side, of twice that order; at the ends of second order."""
+    order = 2 * around
+    weights = savgol_coeffs(order + 1, order, deriv=1, delta=Ts_s, use="dot")
+    found = np.gradient(values, Ts_s, axis=0)
+    inner = slice(around, len(values) - around)
+    found[inner] = correlate1d(values, weights, axis=0)[inner]
+    return np.asarray(found)

@@ -31,6 +31,7 @@ from ...records.from_log import (
     truncation_remarks,
 )
 from ...records.resampling import resample
+from ...rounding import ROUNDING
 from .stuck_sensors import stuck_rows
 
 Array = NDArray[np.float64]
@@ -38,13 +39,15 @@ Array = NDArray[np.float64]
 _REQUIRED = ("time_s", "gap_m", "beam_m", "beam_m_s")
 """Fields that a rig log needs for a trace, in addition to those for a fit."""
 _ROTOR = ("rotor_rad", "rotor_rad_s")
+_MOTION = ("position", "speed", "acceleration")
+"""Columns of what comes from a drive."""
 _WITHOUT = {
     ("coil_excitation_n",): "excitation of single coils is assumed to be zero",
     ("beam_force_n",): "friction and cogging of the beam's drives cannot be found",
     _ROTOR: "the rotor is assumed to rest",
 }
 """Fields that a rig log may lack, and what the trace assumes without them."""
-_SILENT = 1e-9
+_SILENT = ROUNDING
 _PREPARED = 6
 """Memory of what is prepared for a point over that of the record, along a moving beam, measured."""
 _MOST_PARTS = 2
@@ -167,7 +170,7 @@ def trace_record(log: Log, model: ModelConfig) -> TraceRecord:
     geometry = parse_text(log.attachments["rig.yaml"], RigConfig, "rig.yaml").geometry
     places = rig_places(geometry, model)
     gap = array_field(log, "gap_m", places.sensors, "sensors")
-    rotor = np.zeros((len(gap), 3))
+    rotor = np.zeros((len(gap), len(_MOTION)))
     if set(_ROTOR) <= set(names):
         rotor = _motion(log, ("rotor", "rad"), experiment.Ts_s)
     record = TraceRecord(
@@ -280,7 +283,7 @@ def imported_trace_record(experiment: Experiment, model: ModelConfig) -> TraceRe
     p = experiment.u.shape[1]
     places = imported_places(model)
     N = len(experiment.y)
-    no_motion = np.zeros((N, 3))
+    no_motion = np.zeros((N, len(_MOTION)))
     return TraceRecord(
         experiment, places, np.asarray(np.arange(N) * experiment.Ts_s), experiment.y, experiment.u,
         np.zeros((N, p)), no_motion, no_motion, None, IMPORTED,

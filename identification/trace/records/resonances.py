@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from scipy.optimize import fmin
 
 from ....model.effects.flexible import PATTERNS, patterns
+from ...rounding import DIFFERENCE, TINY
+from ..search_options import SearchOptions
 from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 
-_SEGMENT_S = 4.0
-_LOWEST_HZ, _HIGHEST = 12.0, 0.4
+_LOWEST_HZ, HIGHEST = 12.0, 0.4
 """Frequency range: above the control loop's modes, up to a share of the sampling rate."""
 _STEP, _DAMPING = 0.015, 0.03
 """Relative step of the frequency grid, and a damping at which neighbours overlap."""
@@ -118,10 +119,10 @@ def _spectra(
     for r in records:
         rows[r.experiment.Ts_s] = rows.get(r.experiment.Ts_s, 0) + r.rows
     Ts_s = max(rows, key=lambda key: rows[key])
-    length = 2 ** round(np.log2(_SEGMENT_S / Ts_s))
+    length = 2 ** round(np.log2(SearchOptions.block_s / Ts_s))
     window = np.hanning(length)[:, None]
     freq_hz = np.asarray(np.fft.rfftfreq(length, Ts_s), np.float64)
-    use = (freq_hz >= _LOWEST_HZ) & (freq_hz <= _HIGHEST / Ts_s)
+    use = (freq_hz >= _LOWEST_HZ) & (freq_hz <= HIGHEST / Ts_s)
     shape = (int(use.sum()), over_sensors.shape[1])
     yu, uu, yy, count = np.zeros(shape, complex), np.zeros(shape), np.zeros(shape), 0
     for r in records:
@@ -161,7 +162,7 @@ def _explained(spectra: Spectra, f_hz: float, zeta: float) -> tuple[float, float
         return 0.0, 0.0
     explained = float(np.abs(np.sum(G.conj() * spectra.yu)) ** 2 / whole)
     noise = float(power @ spectra.yy) / whole / spectra.count
-    return explained, explained / max(noise, 1e-300)
+    return explained, explained / max(noise, TINY)
 
 
 def _fitted(spectra: Spectra, f_hz: float) -> tuple[float, float]:
@@ -176,5 +177,7 @@ def _fitted(spectra: Spectra, f_hz: float) -> tuple[float, float]:
 
     start: Array = np.log(np.array([f_hz, _DAMPING]))
     simplex = start + np.array([[0.0, 0.0], [_STEP, 0.0], [0.0, -1.0]])
-    found = fmin(unexplained, start, initial_simplex=simplex, xtol=1e-4, ftol=np.inf, disp=False)
+    found = fmin(
+        unexplained, start, initial_simplex=simplex, xtol=DIFFERENCE, ftol=np.inf, disp=False
+    )
     return at(np.asarray(found))

@@ -22,19 +22,18 @@ from ...greybox.experiment.experiment_from_log import Experiment
 from ...greybox.free_run.free_run_noise_floor import powers_of
 from ...greybox.prediction.noise_model import Noise
 from ...records.record import IdentificationError
+from ...rounding import SINGLE_ROUNDING
+from ..search_options import SearchOptions
 from .record_from_log import TraceRecord
 from .sensor_white_noise import white_noise
 
 Array = NDArray[np.float64]
 
-_LEAST_NOISE = 1e-7
-"""Least noise over the motion's rms, 23 bits: below, it is rounding, not sensor noise."""
 _LONGEST_S = 60.0
 _BAND_HZ = (0.4, 80.0)
-_SEGMENT_S = 5.0
 _WIDEST, _MOST_REACHES = 1e3, 4
 """Search range of the force noise, as a factor on the fit's; extended from the end if needed."""
-_ALIKE = 3.0
+_ALIKE = SearchOptions.standard_errors
 """Largest ratio of two outputs' noise, since all errors are divided by one noise."""
 
 
@@ -73,7 +72,7 @@ def require_noise(records: Sequence[TraceRecord]) -> None:
     """Raise IdentificationError for readings without sensor noise, the unit of all errors."""
     sd = float(np.median(sensor_noise(records)))
     spread = max(float(np.std(r.gap, axis=0).max()) for r in records)
-    if not sd > _LEAST_NOISE * spread:
+    if not sd > SINGLE_ROUNDING * spread:
         unit = records[0].places.sensor_unit
         raise IdentificationError(
             "expected readings with sensor noise, because errors are given in multiples of it; "
@@ -112,7 +111,7 @@ def sensor_noise(records: Sequence[TraceRecord]) -> Array:
 def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> float:
     """Return the factor on the force noise density that fits a still record."""
     Ts_s = experiment.Ts_s
-    segment = min(round(_SEGMENT_S / Ts_s), len(experiment.y) // 2)
+    segment = min(round(SearchOptions.block_s / Ts_s), len(experiment.y) // 2)
     freq_hz, seen = welch(experiment.y, 1 / Ts_s, nperseg=segment, axis=0)
     band = (freq_hz >= _BAND_HZ[0]) & (freq_hz <= _BAND_HZ[1])
     by_force, by_sensor = _responses(model, experiment, freq_hz[band])

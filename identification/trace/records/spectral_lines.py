@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from ...rounding import DIFFERENCE, ROUNDING, TINY
+from ..search_options import SearchOptions
 from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 
-MOST_LINES = 6
+MOST_LINES = SearchOptions.most_effects
 _STANDS_OUT = 50.0
 """Power of a line over the mean power around it: noise reaches that in one of 10^21 bins."""
 _AROUND = 61
@@ -64,7 +66,7 @@ def lines_of(x: Array, Ts_s: float) -> list[tuple[float, float]]:
     while len(lines) < MOST_LINES:
         power = _power(rest)
         level = median_filter(power, _AROUND, mode="reflect") / np.log(2.0)
-        stands = power / np.maximum(level, 1e-300)
+        stands = power / np.maximum(level, TINY)
         stands[: round(_LOWEST_HZ / step_hz)] = 0.0
         stands[-1] = 0.0
         for f_hz in lines:
@@ -100,7 +102,7 @@ def tonal(x: Array, Ts_s: float) -> bool:
         return False
     power = _power(x - float(x.mean()))
     level = median_filter(power, _AROUND, mode="reflect") / np.log(2.0)
-    lines = power > _STANDS_OUT * np.maximum(level, 1e-12 * power.max())
+    lines = power > _STANDS_OUT * np.maximum(level, ROUNDING * power.max())
     lines[: max(round(_LOWEST_HZ * len(x) * Ts_s), 1)] = False
     return bool(power[lines].sum() > 0.5 * power.sum())
 
@@ -139,7 +141,7 @@ def _fitted(
         slope = 2.0 * np.pi * time_s[:, None] * (b * np.cos(angle) - a * np.sin(angle))
         step, *_ = np.linalg.lstsq(np.hstack([slope, columns]), rest, rcond=None)
         moved = np.clip(step[: len(f)], -0.5 * step_hz, 0.5 * step_hz)
-        if np.abs(moved).max() < 1e-6 * step_hz:
+        if np.abs(moved).max() < DIFFERENCE * step_hz:
             break
         f = f + moved
     return f.tolist(), rest

@@ -7,17 +7,22 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm, studentized_range
 
+from ..search_options import SearchOptions
 from .sensor_white_noise import white_noise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_STILL = {10: 6.0, 16: 6.3, 32: 6.7, 64: 7.1, 128: 7.4, 256: 7.8}
-"""Range of a stuck reading over a number of rows, in noise standard deviations, exceeded once in a
-thousand. A filtered reading does not stay within it for long while the others move."""
+_ROWS = tuple(2**k for k in range(4, 9))
+_CHANCE = float(norm.sf(SearchOptions.standard_errors))
+_STILL = {rows: float(studentized_range.isf(_CHANCE, rows, np.inf)) for rows in _ROWS}
+"""Range of a stuck reading over a number of rows, in noise standard deviations, exceeded as rarely
+as three of them by one row. A filtered reading does not stay within it for long while the others
+move."""
 _LONGEST = max(_STILL)
-_SAME = 3.0
+_SAME = SearchOptions.standard_errors
 """Largest deviation at the ends of a stuck interval, in noise standard deviations."""
 _MOVES = 20.0
 """Least range expected from the other sensors, in noise standard deviations."""

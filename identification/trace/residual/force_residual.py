@@ -11,14 +11,16 @@ from scipy.signal import welch
 from ....model.effects.base import Placed, Term
 from ...greybox.free_run.free_run_noise_floor import powers_of
 from ...greybox.prediction.discretisation import Motion, input_moments
+from ...rounding import TINY
 from ..linearised.drive_force_residual import beside_motion, calm, drive_errors
 from ..linearised.intersample_moments import force_moments
 from ..linearised.linearisation_point import Along, WorkingPoint, along, corrected_experiment
+from ..records.effect_signals import rate
 from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
 
-_SEGMENT_S = 4.0
 _EDGE_ROWS = 3
 """Rows at both ends without a central difference of sixth order."""
 FADE_S = 0.5
@@ -26,7 +28,8 @@ FADE_S = 0.5
 _THIRD = 2.0 ** (1 / 3)
 _PASSED = 1.3
 """Least ratio of a residual's density to the noise's that passes the filter."""
-_WORST = 100.0
+WORST = 100.0
+"""Largest ratio of the force-equivalent noise to its minimum; beyond, the force is unknown."""
 _LINE = 30.0
 """Ratio to noise above which a line always passes; averages of ten spectra do not reach it."""
 
@@ -113,10 +116,10 @@ def standing_out(psd: Array, noise: Array, freq_hz: Array) -> Array:
     The force-equivalent sensor noise grows with the square of the frequency: where its amplitude is
     ten times its minimum, only lines pass.
     """
-    ratio = psd / np.maximum(noise, 1e-300)
+    ratio = psd / np.maximum(noise, TINY)
     smooth = third_octaves(ratio, freq_hz)
-    gain = np.clip(1 - _PASSED / np.maximum(smooth, 1e-300), 0.0, 1.0)
-    gain[noise > _WORST * noise.min(axis=0)] = 0.0
+    gain = np.clip(1 - _PASSED / np.maximum(smooth, TINY), 0.0, 1.0)
+    gain[noise > WORST * noise.min(axis=0)] = 0.0
     gain[ratio > _LINE] = 1.0
     gain[freq_hz <= 0.0] = 0.0
     return np.asarray(gain)
@@ -135,7 +138,7 @@ def denoised(values: Array, gain: Array, freq_hz: Array, Ts_s: float) -> Array:
 
     The ends are reflected, so that the filter does not ring there.
     """
-    edge = min(len(values) - 1, round(_SEGMENT_S / Ts_s))
+    edge = min(len(values) - 1, round(SearchOptions.block_s / Ts_s))
     long = np.concatenate([values[edge:0:-1], values, values[-2 : -edge - 2 : -1]])
     spectrum = np.fft.rfft(long)
     spectrum *= np.interp(np.fft.rfftfreq(len(long), Ts_s), freq_hz, gain)
@@ -144,7 +147,7 @@ def denoised(values: Array, gain: Array, freq_hz: Array, Ts_s: float) -> Array:
 
 def density(values: Array, Ts_s: float) -> tuple[Array, Array]:
     """Return frequencies (F,) in Hz and the one-sided density (F, .) of samples (N, .)."""
-    segment = min(round(_SEGMENT_S / Ts_s), len(values))
+    segment = min(round(SearchOptions.block_s / Ts_s), len(values))
     freq_hz, psd = welch(values, 1 / Ts_s, nperseg=segment, axis=0)
     return freq_hz, psd
 
@@ -152,7 +155,7 @@ def density(values: Array, Ts_s: float) -> tuple[Array, Array]:
 def _residual_force(driven: Motion, y: Array) -> Array:
     """Return M q'' + D q' + K q - B u (N, n), averaged over each period, without its mean."""
     Ts_s = driven.Ts_s
-    qd = _rate(y, Ts_s)
+    qd = rate(y, Ts_s, _EDGE_ROWS)
     acceleration, velocity = (np.diff(x, axis=0) / Ts_s for x in (qd, y))
     place = 0.5 * (y[1:] + y[:-1]) - Ts_s**2 / 12 * acceleration
     rows = len(velocity)
@@ -205,13 +208,3 @@ def _impedance(here: Along, freq_hz: Array) -> NDArray[np.complex128]:
     M = np.linalg.inv(at.mobility.mean(axis=0))
     s = 2j * np.pi * freq_hz[:, None, None]
     return np.asarray(M @ (s * s * np.eye(len(M)) + s * at.D.mean(axis=0) + at.K.mean(axis=0)))
-
-
-def _rate(values: Array, Ts_s: float) -> Array:
-    """Return the derivative of samples (N, n) by central differences of sixth order."""
-    result = np.gradient(values, Ts_s, axis=0)
-    one, two, three = (
-        values[3 + k : len(values) - 3 + k] - values[3 - k : len(values) - 3 - k] for k in (1, 2, 3)
-    )
-    result[3:-3] = (45 * one - 9 * two + three) / (60 * Ts_s)
-    return np.asarray(result)

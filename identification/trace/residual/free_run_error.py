@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from ...greybox.free_run.free_run_noise_floor import motion_covariance
-from ..linearised.gram_matrices import BLOCK_S
+from ...value_with_interval import PERCENT
 from ..linearised.linearisation_point import WorkingPoint
 from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
 from .free_run_with_effects import free_run
 
 Array = NDArray[np.float64]
-
-_SEGMENT_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
     pose = error @ T.T
     moved = motion_covariance(point.model, e, point.hold, point.disturbance.noise)
     shown = np.diag(places.sensor_shape @ moved @ places.sensor_shape.T)
-    segment = min(round(_SEGMENT_S / e.Ts_s), len(error))
+    segment = min(round(SearchOptions.block_s / e.Ts_s), len(error))
     freq_hz, psd = welch(pose, 1 / e.Ts_s, nperseg=segment, axis=0)
     return RecordError(
         record.name,
@@ -83,7 +82,7 @@ def _record_error(point: WorkingPoint, record: TraceRecord) -> RecordError:
 
 def _blocks(squares: Array, Ts_s: float) -> Array:
     """Return the sums over blocks of squares (rows,), times the sampling period (B,)."""
-    blocks = max(round(len(squares) * Ts_s / BLOCK_S), 1)
+    blocks = max(round(len(squares) * Ts_s / SearchOptions.block_s), 1)
     return np.array([Ts_s * part.sum() for part in np.array_split(squares, blocks)])
 
 
@@ -112,7 +111,7 @@ def percent_of_pose(errors: Sequence[RecordError]) -> Array:
         for name in ("pose_squares", "pose_power")
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(100.0 * np.sqrt(squares / power))
+        return np.asarray(PERCENT * np.sqrt(squares / power))
 
 
 def shares(errors: Sequence[RecordError]) -> Array:

@@ -30,18 +30,20 @@ from ...greybox.free_run.free_run_simulation import (
 from ...greybox.prediction.discretisation import Motion, motion
 from ...greybox.prediction.noise_model import Filter
 from ...greybox.prediction.prediction_errors import settled
+from ...rounding import TINY
 from ..linearised.intersample_moments import force_moments
 from ..linearised.linearisation_point import WorkingPoint, corrected_experiment, filter_of, filtered
 from ..records.effect_signals import rate, trajectory
 from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
 from .fixed_point_iteration import AndersonMixing, DampedSteps, settles
 
 Array = NDArray[np.float64]
 
 _MAX_ITERATIONS = 60
-_SETTLED = 1e-2
+_SETTLED = SearchOptions.accuracy
 """Rms change of the readings at convergence, over the sensors' noise or the simulation's error."""
-_KEPT = 60
+_KEPT = _MAX_ITERATIONS
 """Steps that the next one is extrapolated from. A lightly damped mass on a spring takes as many."""
 
 
@@ -189,7 +191,7 @@ def _slopes(
         values: Array = getattr(signals, name)
         spread = values.std(axis=0)
         last = 0.1 * spread if before is None else (values - getattr(before, name)).std(axis=0)
-        for i, difference in enumerate(np.maximum(last, 1e-3 * spread) + 1e-12):
+        for i, difference in enumerate(np.maximum(last, 1e-3 * spread) + TINY):
             lower, upper = (_force_at(point, signals, name, i, s * difference) for s in (-1.0, 1.0))
             slope[:, :, i] = (upper - lower) / (2 * difference)
     return Slopes(stiffness, damping, signals.q, signals.qd)

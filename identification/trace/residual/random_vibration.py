@@ -15,9 +15,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rounding import TINY
 from ..linearised.linearisation_point import WorkingPoint
 from ..records.record_from_log import TraceRecord
-from .force_residual import FADE_S, density, false_density, missing, noise_density, third_octaves
+from .force_residual import (
+    FADE_S,
+    WORST,
+    density,
+    false_density,
+    missing,
+    noise_density,
+    third_octaves,
+)
 
 Array = NDArray[np.float64]
 
@@ -26,8 +35,6 @@ _LOUD = 2.0
 _BEYOND_CHANCE = 10.0
 _ALIKE = 2.0
 """Largest ratio of its power in still and in excited records."""
-_WORST = 100.0
-"""Largest ratio of the force-equivalent noise to its minimum; beyond, the force is unknown."""
 _LOWEST_HZ = 0.5
 _OUTSIDE = 0.05
 _ENDS = 1.2
@@ -140,7 +147,7 @@ def _band(dof: int, spectra: Sequence[ForceSpectrum]) -> NDArray[np.bool_] | Non
     freq_hz = spectra[0].freq_hz
     psd, noise = (_mean(dof, spectra, part) for part in ("psd", "noise"))
     loud = third_octaves((psd / noise)[:, None], freq_hz)[:, 0] > _LOUD
-    loud &= (freq_hz > _LOWEST_HZ) & (noise < _WORST * noise.min())
+    loud &= (freq_hz > _LOWEST_HZ) & (noise < WORST * noise.min())
     edges = np.flatnonzero(np.diff(np.concatenate([[0], loud.astype(np.int8), [0]])))
     runs = [slice(a, b) for a, b in edges.reshape(-1, 2).tolist()]
     if not runs:
@@ -161,7 +168,7 @@ def _statistic(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectru
 def _power(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:
     step_hz = float(spectra[0].freq_hz[1] - spectra[0].freq_hz[0])
     beyond = _mean(dof, spectra, "psd")[band] - _mean(dof, spectra, "noise")[band]
-    return max(float(beyond.sum()) * step_hz, 1e-300)
+    return float(max(beyond.sum() * step_hz, TINY))
 
 
 def _power_error(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:

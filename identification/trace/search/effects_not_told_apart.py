@@ -217,7 +217,7 @@ def supports(
     for placed, cost in zip(point.placed, removal_costs(point, train), strict=True):
         some = cost[rng.integers(len(cost), size=(options.resamples, len(cost)))]
         apart = 2.0 * float(np.sum(np.minimum(cost, 0.0) ** 2))
-        error = np.sqrt(4.0 * np.maximum(some.sum(axis=1), 0.0) + apart)
+        error = np.sqrt(2.0**2 * np.maximum(some.sum(axis=1), 0.0) + apart)
         found[placed.effect.identity] = float(
             np.mean(some.sum(axis=1) > options.standard_errors * error)
         )

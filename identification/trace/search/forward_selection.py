@@ -10,7 +10,7 @@ import numpy as np
 
 from ....model.effects.base import Effect
 from ....model.effects.friction import LAWS
-from ..linearised.linearisation_point import WorkingPoint
+from ..linearised.linearisation_point import MOST_TRUST, WorkingPoint
 from ..search_options import SearchOptions
 from .accepted_and_rejected_candidates import CandidateQueue
 from .backward_elimination import (
@@ -31,7 +31,6 @@ from .tested_candidate import FRICTION, HeldError, Records, Round, Tried, is_int
 
 Progress = Callable[[str, float], None]
 
-_TRUST = 1e3
 _CARRIERS = {"beam", "rotor"}
 """What comes between an effect and the platform is no place of the platform."""
 
@@ -80,7 +79,7 @@ def grown(
         if taken is None or len(point.placed) >= most or queue.in_a_row >= options.patience:
             rounds.append(replace(found, taken=None, alternatives=()))
             break
-        progress(f"adding {taken.effect.name}", share(len(rounds)))
+        progress(f"adding {taken.effect.name}", options.share_done(len(rounds)))
         begun_at = replace(point, placed=(*point.placed, taken.placed))
         better, squares = refine(begun_at, records, within=NEARLY)
         taken = _tested_again(point, taken.at(better.placed[-1]), records, options)
@@ -146,11 +145,6 @@ def _tested_again(
     return tested(point, [tried], records, options)[0] if tried.shape else tried
 
 
-def share(rounds: int) -> float:
-    """Return the progress of a search after a number of rounds (0 to 1)."""
-    return 0.85 - 0.7 * 0.6**rounds
-
-
 def _screened(
     point: WorkingPoint,
     candidates: Sequence[Candidate],
@@ -169,19 +163,22 @@ def _screened(
     asked = internal if explained else candidates
     first, rest = asked_first(point, asked)
     if first:
-        progress(f"screening {len(first)} candidates in the non-rigid readings", share(len(rounds)))
+        progress(
+            f"screening {len(first)} candidates in the non-rigid readings",
+            options.share_done(len(rounds)),
+        )
         little_of_it = HALF * options.least_free_gain * gather(point, records.train(point)).excess
         shown = records.shown(point, first)
         asked = [
             *rest,
             *worth_columns(first, shown, records.sensor_shape, little_of_it, options.shortlisted),
         ]
-    progress(f"screening {len(asked)} candidates", share(len(rounds)))
+    progress(f"screening {len(asked)} candidates", options.share_done(len(rounds)))
     asked = shortlisted(point, asked, records, options)
     train = gather(point, records.train(point, asked))
     visible = options.visible * float(train.count.sum()) if explained else 0.0
     if explained and train.excess > visible:
-        progress(f"screening {len(candidates)} candidates", share(len(rounds)))
+        progress(f"screening {len(candidates)} candidates", options.share_done(len(rounds)))
         asked = shortlisted(point, candidates, records, options)
         train = gather(point, records.train(point, asked))
     before = rounds[0].excess - train.excess if rounds else 0.0
@@ -204,6 +201,6 @@ def _rubbed(point: WorkingPoint, train: ColumnEvidence) -> dict[str, float]:
 def _believing(point: WorkingPoint, squares: float, evidence: ColumnEvidence) -> WorkingPoint:
     """Return the point with trajectories as close to the model as the errors allow."""
     count = float(evidence.count.sum())
-    wanted = float(np.clip(_TRUST * (squares / count - 1.0), 1.0, _TRUST))
+    wanted = float(np.clip(MOST_TRUST * (squares / count - 1.0), 1.0, MOST_TRUST))
     # In decades: filters are kept for each.
     return replace(point, trust=float(10.0 ** np.ceil(np.log10(wanted))))

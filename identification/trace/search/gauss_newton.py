@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Quantity
 from ...records.record import IdentificationError
+from ...rounding import ROUNDING
 from ..linearised.gram_matrices import Linearised
 from ..linearised.linearisation_point import WorkingPoint
+from ..search_options import SearchOptions
+from .damping import MOST_DAMPING, less, more
 from .regression import ColumnEvidence, covariance, solve
 
 Array = NDArray[np.float64]
@@ -22,10 +25,9 @@ Candidate = tuple[Effect, tuple[float, ...]]
 
 _STEPS = 16
 _CONVERGED = 0.3
-_MOST_DAMPING = 1e4
 _WORTH_A_STEP = 0.1
 """Squared errors that a step must promise, and take."""
-ROUGHLY, NEARLY, FULLY = 1e-3, 1e-4, 1e-6
+ROUGHLY, NEARLY, FULLY = 1e-3, SearchOptions.accuracy**2, 1e-6
 """The same as a share of how far the squares are from those of noise: while others are missing, or
 the noise is assumed larger than it is, what is at its best now will not be then."""
 _CRAWLS = 0.1
@@ -76,17 +78,17 @@ def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[W
             after = gather(moved, records.train(moved))
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
             after = None
-        if after is not None and _cost(after) < _cost(train) * (1 + 1e-9):
+        if after is not None and _cost(after) < _cost(train) * (1 + ROUNDING):
             gained = _cost(train) - _cost(after)
-            point, train, damping = moved, after, damping / 10 if damping > 1e-3 else 0.0
+            point, train, damping = moved, after, less(damping)
             crawled, crawls = crawls, gained < _CRAWLS * worth
             if gained < _WORTH_A_STEP or (crawled and crawls):
                 break
         else:
             rises = after is not None and _cost(after) - _cost(train) > promised
-            if damping >= (_SHORT if rises else _MOST_DAMPING):
+            if damping >= (_SHORT if rises else MOST_DAMPING):
                 break
-            damping = max(10 * damping, 1e-2)
+            damping = more(damping)
     return point, train.squares
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Effect
+from ...rounding import TINY
 from ..linearised.gram_matrices import Linearised, ResidualChannel, grams
 from ..linearised.innovations_filter_bank import thinned
 from ..linearised.linearisation_point import WorkingPoint, along
@@ -49,7 +50,7 @@ def shown_beyond(
     here = along(point, record)
     basis = redundancy_basis(record.places.sensor_shape)
     length = np.linalg.norm(basis, axis=1)
-    errors = beyond_pose(here, readings(here)) @ (basis / np.maximum(length, 1e-300)[:, None]).T
+    errors = beyond_pose(here, readings(here)) @ (basis / np.maximum(length, TINY)[:, None]).T
     built: dict[tuple[str, tuple[float, ...]], list[Array]] = {}
     of_sensor: dict[int, list[int]] = {}
     columns: list[Array] = []

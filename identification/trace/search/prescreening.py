@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rounding import TINY
 from ..linearised.linearisation_point import WorkingPoint
 from ..search_options import SearchOptions
 from .gauss_newton import Candidate, Fitted, Part, gather
@@ -74,7 +75,7 @@ def most_telling(train: ColumnEvidence, squares: Array, needed: float) -> list[P
     each of the k together, and can be cross-validated. None are returned where a third of the time
     has too few blocks for that.
     """
-    sums = np.maximum(np.abs(squares).sum(axis=1), np.finfo(float).tiny)
+    sums = np.maximum(np.abs(squares).sum(axis=1), TINY)
     worth = (squares / sums[:, None]).sum(axis=0)
     blocks = np.bincount(train.record)
     parts: list[Part] = []

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rounding import RIDGE, TINY
 from ..linearised.gram_matrices import Beside, Linearised
 
 Array = NDArray[np.float64]
@@ -21,8 +22,6 @@ Indices = Sequence[int] | NDArray[np.intp]
 
 FOLDS = 5
 _HELD = 30.0
-_RIDGE = 1e-11
-"""Of each column's own square: directions that differ by rounding alone are held."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def solve(gram: Array, columns: Indices) -> Array:
     A = gram[np.ix_(pick, pick)]
     b = gram[pick, -1]
     scale = _scale(A)
-    scaled = A / scale[:, None] / scale + _RIDGE * np.eye(len(pick))
+    scaled = A / scale[:, None] / scale + RIDGE * np.eye(len(pick))
     return np.asarray(-np.linalg.solve(scaled, b / scale) / scale)
 
 
@@ -145,7 +144,7 @@ def covariance(gram: Array, columns: Indices) -> Array:
     pick = np.asarray(columns, int)
     A = gram[np.ix_(pick, pick)]
     scale = _scale(A)
-    scaled = A / scale[:, None] / scale + _RIDGE * np.eye(len(pick))
+    scaled = A / scale[:, None] / scale + RIDGE * np.eye(len(pick))
     return np.asarray(np.linalg.inv(scaled) / scale[:, None] / scale)
 
 
@@ -184,7 +183,7 @@ def steadied(evidence: ColumnEvidence) -> ColumnEvidence:
     own = np.arange(len(evidence.size) - 1)
     variance = np.diag(covariance(evidence.whole, own))
     prior = evidence.prior.copy()
-    prior[own, own] += 1.0 / (_HELD**2 * np.maximum(variance, 1e-300))
+    prior[own, own] += 1.0 / (_HELD**2 * np.maximum(variance, TINY))
     return replace(evidence, prior=prior)
 
 
@@ -284,7 +283,7 @@ def _agreement(grams: Array, base: Indices, group: Indices, b: Array) -> _Agreem
     own, gram = len(base_list), few.sum(axis=0)
     A = gram[:own, :own]
     scale = _scale(A)
-    inverse = np.linalg.inv(A / scale[:, None] / scale + _RIDGE * np.eye(own))
+    inverse = np.linalg.inv(A / scale[:, None] / scale + RIDGE * np.eye(own))
     inverse = inverse / scale[:, None] / scale
     prediction = np.concatenate([-inverse @ (gram[:own, own:-1] @ b), b, [0.0]])
     errors = np.concatenate([-inverse @ gram[:own, -1], np.zeros(len(b)), [1.0]])

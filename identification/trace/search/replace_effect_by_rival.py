@@ -12,7 +12,7 @@ from ....model.effects.base import Effect
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
 from ..search_options import SearchOptions
-from .forward_selection import Grown, Progress, grown, share
+from .forward_selection import Grown, Progress, grown
 from .gauss_newton import NEARLY, refine
 from .predictive_criterion import confirmed, tested
 from .tested_candidate import Records, Round, Tried
@@ -47,7 +47,7 @@ def otherwise(
     ]
     best, least = found, _HALF * (found.error.squares - found.error.floor)
     for number, rival in ways[: options.patience]:
-        at = share(len(found.rounds))
+        at = options.share_done(len(found.rounds))
         progress(f"trying {rival.effect.name} instead", at)
         try:
             begun = _instead(found, number, rival, records, options)

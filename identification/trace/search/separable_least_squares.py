@@ -24,6 +24,7 @@ from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
 from ..linearised.linearise_prediction_errors import effect_terms
 from .backward_elimination import columns_of, without_effect
+from .damping import MOST_DAMPING, less, more
 from .gauss_newton import ROUGHLY, Candidate, Fitted, gather, leash
 from .regression import (
     ColumnEvidence,
@@ -38,7 +39,6 @@ from .tested_candidate import Tried
 Array = NDArray[np.float64]
 
 _STEPS = 10
-_FIRST_DAMPING, _MOST_DAMPING = 1e-2, 1e3
 _WORTH = 1.0
 """Squared errors that a step must promise: noise of one number takes as much."""
 
@@ -110,9 +110,9 @@ class _Fit:
                 gain=float(there.gain.sum()),
             )
             self._squares, self._joined = there.squares, there
-            self._damping = self._damping / 10.0 if self._damping > _FIRST_DAMPING else 0.0
+            self._damping = less(self._damping)
         else:
-            self._damping = max(10.0 * self._damping, _FIRST_DAMPING)
+            self._damping = more(self._damping)
         assert self._joined is not None
         move, promised = self._joined.step(self.best, self._damping)
         moved = tuple(
@@ -121,7 +121,7 @@ class _Fit:
         )
         left = self._squares - float(train.count.sum())
         worth = max(_WORTH, ROUGHLY * left)
-        self.ended = promised < worth or self._damping > _MOST_DAMPING or moved == self.best.shape
+        self.ended = promised < worth or self._damping > MOST_DAMPING or moved == self.best.shape
         self.shape = moved
 
 

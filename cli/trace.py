@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..identification.value_with_interval import value_with_interval
+from ..identification.value_with_interval import told_from_zero, value_with_interval
 from .full_option import full_option
 from .output_folder_check import claimed_folder, naming_options, quoted, repeated, same_logs
 from .path_types import FOLDER, LOG, MODEL
@@ -236,6 +236,7 @@ def _values(found: FoundEffect) -> str:
     return ", ".join(
         f"{name} = {value_with_interval(p.value, p.se)}"
         + ("" if p.unit in ("", "1") else f" {p.unit}")
+        + ("" if told_from_zero(p.value, p.se) else " (not told from 0)")
         for name, p in found.parameters().items()
         if p.value != 0.0 or p.se
     )

@@ -32,6 +32,13 @@ def value_with_interval(value: float, se: float | None, plus_minus: str = "+-") 
     return pair if shift == 0 else f"({pair})e{shift}"
 
 
+def told_from_zero(value: float, se: float | None) -> bool:
+    """Return whether 0 is outside the 95 % interval of a value; of one without an error it is."""
+    from .subspace.response_uncertainty import SURE_95
+
+    return se is None or not abs(value) <= SURE_95 * se
+
+
 def interval_decimals(half: float, digits: int = 2) -> int:
     """Return the number of decimals up to digit `digits` of half a confidence interval.
 

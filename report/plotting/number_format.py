@@ -9,7 +9,7 @@ import numpy as np
 
 from ...config.model import EffectParameter
 from ...identification.subspace.response_uncertainty import SURE_95
-from ...identification.value_with_interval import exponent_of, interval_decimals
+from ...identification.value_with_interval import exponent_of, interval_decimals, told_from_zero
 from .labelled_frequency_responses import symbol
 from .style import engineering
 
@@ -72,9 +72,12 @@ def with_interval(parameter: EffectParameter) -> str:
 
 
 def half_percent(value: float, se: float | None) -> str:
-    """Return half of a value's 95 % interval in percent of the value; a dash if it is unknown."""
+    """Return half of a value's 95 % interval in percent of the value; a dash if it is unknown, and
+    words where 0 is inside."""
     if se is None or value == 0.0:
         return "—"
+    if not told_from_zero(value, se):
+        return "not told from 0"
     return f"{plain(100 * SURE_95 * se / abs(value), 2)} %"
 
 

@@ -57,6 +57,7 @@ def test_interval_of_a_mode():
 def test_half_interval_in_percent():
     assert half_percent(-2.0, 0.1) == "9.8 %"
     assert half_percent(0.0, 0.1) == half_percent(1.0, None) == "—"
+    assert half_percent(0.02, 0.3) == "not told from 0"
 
 
 @pytest.mark.parametrize(

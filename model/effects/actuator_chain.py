@@ -1,9 +1,10 @@
 """Chain of an actuator: the parts that a command passes one after the other.
 
 First what limits or bends the command, then a limit of its rate, then what makes it late, then what
-acts on the force itself. Of a saturation before a lag, the lag delays what the saturation leaves:
-the sum of what each of them does to the command would be another plant. Laws that are not in the
-chain, and all of the rig's, are added: there each is small, and their order does not show.
+acts on the force itself, and at its end a force that depends on the command: a magnet's current is
+what the lag leaves. Of a saturation before a lag, the lag delays what the saturation leaves: the
+sum of what each of them does to the command would be another plant. Laws that are not in the chain,
+and all of the rig's, are added: there each is small, and their order does not show.
 """
 
 from __future__ import annotations
@@ -18,7 +19,16 @@ from .base import Array, Effect, Placed, Signals, Term
 _ON_COMMAND = ("dead_zone", "saturation", "actuator_nonlinearity")
 _ON_FORCE = ("thermal_drift", "force_constant", "torque_ripple", "coil_gain")
 _LAGS = ("rate_limit", "actuator_lag")
-_ORDER = (*_ON_COMMAND, *_LAGS, "delay", *(f"{kind} behind" for kind in _ON_COMMAND), *_ON_FORCE)
+_LOADED, _AT_ITS_END = "actuator.load_friction", ("magnetic_force",)
+_ORDER = (
+    *_ON_COMMAND,
+    *_LAGS,
+    "delay",
+    *(f"{kind} behind" for kind in _ON_COMMAND),
+    *_ON_FORCE,
+    _LOADED,
+    *_AT_ITS_END,
+)
 """Classes of effects in the order in which a command passes them. Where a delay is among them does
 not show."""
 _TINY = float(np.finfo(float).tiny)
@@ -72,7 +82,7 @@ def passed_on(
         return list(terms)
     along, _ = in_chain(beside(effect, placed), signals)
     later = [(p, there) for p, there in along if _position(p.effect) > _position(effect)]
-    return [t if t.held is None else replace(t, held=_behind(t.held, later)) for t in terms]
+    return [t if t.held is None else _behind(t, t.held, later) for t in terms]
 
 
 def same_law(one: Effect, other: Effect) -> bool:
@@ -103,19 +113,23 @@ def orders(
     return [tuple(now), *((*now[:i], moved, *now[i + 1 :]) for i, moved in others)]
 
 
-def _behind(change: Array, later: Sequence[tuple[Placed, Signals]]) -> Array:
-    """Return what a change of the commands (N, C) becomes behind later parts."""
+def _behind(term: Term, change: Array, later: Sequence[tuple[Placed, Signals]]) -> Term:
+    """Return a term with what its change of the commands (N, C) becomes behind later parts."""
+    force = term.force
     for p, there in later:
         step = (
             _SMALL * float(np.linalg.norm(there.coil)) / max(float(np.linalg.norm(change)), _TINY)
         )
         if not 0.0 < step < np.inf:  # one of them is zero
-            return change
-        moved = p.term(replace(there, coil=there.coil + step * change)).held
-        before = p.term(there).held
-        if moved is not None and before is not None:
-            change = change + (moved - before) / step
-    return change
+            break
+        moved = p.term(replace(there, coil=there.coil + step * change))
+        before = p.term(there)
+        if moved.held is not None and before.held is not None:
+            change = change + (moved.held - before.held) / step
+        if moved.force is not None and before.force is not None:
+            more = (moved.force - before.force) / step
+            force = more if force is None else force + more
+    return replace(term, held=change, force=force)
 
 
 def _position(effect: Effect) -> tuple[int, str]:
@@ -125,4 +139,6 @@ def _position(effect: Effect) -> tuple[int, str]:
 
 
 def _kind(effect: Effect) -> str:
+    if effect.key == _LOADED:
+        return _LOADED
     return f"{effect.effect_class} behind" if effect.before_lag else effect.effect_class

@@ -20,10 +20,10 @@ from functools import partial
 
 import numpy as np
 
-from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
+from .base import Effect, Places, Quantity, Signals, Term, on_coil
 from .force_units import per_unit
 from .operating_range import Extent
-from .point_force_conversion import heights
+from .point_force_conversion import times_speed
 
 _FEWEST_LEVELS, _MOST_LEVELS = 2.0, 60.0
 """Bounds of the largest command over the step. With fewer levels, a dead zone or a saturation looks
@@ -129,8 +129,8 @@ def _power(
 
 
 def _times_speed(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:
-    speed = speed_when_acting(signals, [coil])[:, 0]
-    return [on_coil(signals, coil, signals.coil[:, coil] * speed)]
+    F = times_speed(signals, [coil], signals.coil[:, [coil]], lambda speed: speed)
+    return [on_coil(signals, coil, F[:, 0])]
 
 
 def _quantised(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
@@ -140,9 +140,3 @@ def _quantised(signals: Signals, shape: Sequence[float], *, coil: int) -> list[T
 
 def _whole_step(_depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:
     return tuple(shape)
-
-
-def speed_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
-    """Return the actuators' speeds (N, len(coils)) when each row's command acts, lag included."""
-    ahead = signals.qd + signals.lag_s * signals.qdd
-    return signals.when_acting(heights(ahead, signals.places.actuator_motion[list(coils)]))

@@ -200,11 +200,21 @@ class Signals:
             shape = shape * (1.0 + np.array(self.sensor_arms))
         return np.asarray(self.q @ shape)
 
-    def when_acting(self, values: Array) -> Array:
-        """Return samples (N, ...) at the middle of the period in which each row's command acts."""
+    def while_acting(
+        self, values: Array, rates: Array, law: Callable[[Array], Array]
+    ) -> tuple[Array, Array]:
+        """Return a law of samples over the periods in which the rows' commands act: means and first
+        moments (..., N, C), these in periods from the middle.
+
+        By Simpson's rule; values and rates (N, C) at the rows give those in the middle. The law of
+        a mean of both ends would lack what it does between them.
+        """
         first = np.minimum(np.arange(self.rows) + self.delay_cycles, self.rows - 1)
         second = np.minimum(first + 1, self.rows - 1)
-        return np.asarray(0.5 * (values[first] + values[second]))
+        begin, end = values[first], values[second]
+        middle = 0.5 * (begin + end) + self.Ts_s / 8.0 * (rates[first] - rates[second])
+        begin, middle, end = law(begin), law(middle), law(end)
+        return (begin + 4.0 * middle + end) / 6.0, (end - begin) / 12.0
 
     def acting(self, values: Array) -> Array:
         """Return the commands acting at each row (N, ...): means over the periods around it."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
-from .point_force_conversion import forces, heights
+from .base import Effect, Places, Quantity, Signals, Term, on_coil
+from .point_force_conversion import forces, times_height
 
 _ONE_BY_ONE = "excitation of the coils one by one"
 _MOST_GAIN = 3.0
@@ -80,15 +80,7 @@ def _times_height(
     rows = list(coils)
     F = signals.coil[:, rows]
     if power:
-        # The term is lagged as a whole, so the height must lead by the lag.
-        h = height_when_acting(signals, rows)
-        F = F * h if power == 1 else F * h * h
+        F = times_height(signals, rows, F, lambda h: h**power)
     if len(rows) == 1:
         return [on_coil(signals, rows[0], F[:, 0])]
     return [Term(held=forces(F, signals.places.coil_shape[rows]))]
-
-
-def height_when_acting(signals: Signals, coils: Sequence[int]) -> Array:
-    """Return the coils' heights (N, len(coils)) when each row's command acts, lag included."""
-    ahead = signals.q + signals.lag_s * signals.qd
-    return signals.when_acting(heights(ahead, signals.places.actuator_motion[list(coils)]))

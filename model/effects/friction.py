@@ -24,6 +24,7 @@ import numpy as np
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import bouc_wen, dahl, lugre, slip
 from .operating_range import Extent
+from .speed_between_rows import at_rows, means_of_parts, middles, speeds_between_rows
 
 LAWS = tuple(
     f"friction.{law}"
@@ -35,8 +36,6 @@ LAWS = tuple(
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of the Maxwell elements, relative to the smallest."""
 _WIDE = 1e3
-_STILL = 1e-4
-"""Change of q' / v_s in a row below which its tanh is that of the row, to 1e-9."""
 _LOOPS = "several amplitudes of a slow excitation"
 _ELASTIC = "without slip: stiffness; with fast full slip: offset"
 
@@ -150,17 +149,20 @@ def turning_speed(unit: str, speed: float) -> Quantity:
     return Quantity("v_s", f"{unit}/s", speed / _WIDE, 3 * speed, log=True)
 
 
-def direction(signals: Signals, dof: int, v_s: float) -> Array:
-    """Return tanh(q' / v_s) (N,), or its mean around each row.
+def direction(signals: Signals, dof: int, v_s: float, peak: float = np.inf) -> Array:
+    """Return tanh(q' / v_s) (N,), times a Stribeck peak exp(-(q' / peak)^2).
 
-    Friction that turns faster than the records are sampled would else be known to a row only. The
-    speed is linear between the rows' middles, so the mean is a difference of ln cosh. A Stribeck
-    peak is that of the row.
+    Friction that turns faster than the records are sampled would be known to a row only: where
+    signals ask for it, this is what its means around the rows tell.
     """
     if not signals.around_rows:
-        return np.asarray(np.tanh(signals.qd[:, dof] / v_s))
-    first, last, at = _around(signals.qd[:, dof] / v_s)
-    return _slope(_ln_cosh(last) - _ln_cosh(first), last - first, np.tanh(at))
+        speed = signals.qd[:, dof]
+        return np.asarray(np.tanh(speed / v_s) * np.exp(-((speed / peak) ** 2)))
+    speed = speeds_between_rows(signals, dof)
+    parts = means_of_parts(speed / v_s, np.tanh, _ln_cosh)
+    if np.isfinite(peak):
+        parts = parts * np.exp(-((middles(speed) / peak) ** 2))
+    return at_rows(parts)
 
 
 def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> list[Effect]:
@@ -222,20 +224,8 @@ def _turned_squared(signals: Signals, dof: int, v_s: float) -> Array:
     """Return the same of tanh(q' / v_s)^2, whose integral is x - tanh x."""
     if not signals.around_rows:
         return np.asarray(np.tanh(signals.qd[:, dof] / v_s) ** 2)
-    first, last, at = _around(signals.qd[:, dof] / v_s)
-    return 1.0 - _slope(np.tanh(last) - np.tanh(first), last - first, 1.0 - np.tanh(at) ** 2)
-
-
-def _around(speed: Array) -> tuple[Array, Array, Array]:
-    """Return the speed half a row before and behind each row, and in the middle of these (N,)."""
-    middle = 0.5 * (speed[1:] + speed[:-1])
-    first, last = np.append(speed[0], middle), np.append(middle, speed[-1])
-    return first, last, 0.5 * (first + last)
-
-
-def _slope(rise: Array, change: Array, still: Array) -> Array:
-    """Return rise over change (N,), and `still` where nearly nothing changes."""
-    return np.divide(rise, change, out=still, where=np.abs(change) > _STILL)
+    x = speeds_between_rows(signals, dof) / v_s
+    return at_rows(means_of_parts(x, lambda x: np.tanh(x) ** 2, lambda x: x - np.tanh(x)))
 
 
 def _ln_cosh(x: Array) -> Array:
@@ -244,9 +234,9 @@ def _ln_cosh(x: Array) -> Array:
 
 
 def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    ratio = signals.qd[:, dof] / shape[0]
-    sliding = -direction(signals, dof, shape[0] * shape[1])
-    return [on_dof(signals, dof, v) for v in (sliding, sliding * np.exp(-(ratio**2)))]
+    v_s = shape[0] * shape[1]
+    levels = direction(signals, dof, v_s), direction(signals, dof, v_s, shape[0])
+    return [on_dof(signals, dof, -level) for level in levels]
 
 
 def _coulomb_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
@@ -255,10 +245,10 @@ def _coulomb_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -
 
 
 def _stribeck_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    ratio = signals.qd[:, dof] / shape[0]
     v_s = shape[0] * shape[1]
-    s, squared = direction(signals, dof, v_s), _turned_squared(signals, dof, v_s)
-    return [on_dof(signals, dof, v) for v in (-s, -s * np.exp(-(ratio**2)), -squared)]
+    sliding, peak = direction(signals, dof, v_s), direction(signals, dof, v_s, shape[0])
+    squared = _turned_squared(signals, dof, v_s)
+    return [on_dof(signals, dof, -level) for level in (sliding, peak, squared)]
 
 
 def _dahl(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

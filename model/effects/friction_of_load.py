@@ -13,10 +13,10 @@ from functools import partial
 
 import numpy as np
 
-from .actuator_nonlinearity import speed_when_acting
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
 from .friction import turning_speed
 from .operating_range import Extent
+from .point_force_conversion import times_speed
 
 _BEGINS = (0.03, 0.3)
 """Start values of the speed within which it turns, over the RMS speed."""
@@ -49,5 +49,6 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def _rubbing(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
-    speed = speed_when_acting(signals, [coil])[:, 0]
-    return [on_coil(signals, coil, -np.abs(signals.coil[:, coil]) * np.tanh(speed / shape[0]))]
+    load = np.abs(signals.coil[:, [coil]])
+    rubbed = times_speed(signals, [coil], load, lambda speed: np.tanh(speed / shape[0]))
+    return [on_coil(signals, coil, -rubbed[:, 0])]

@@ -92,11 +92,15 @@ def resonant(held: Array, frequency_hz: float, damping: float, Ts_s: float) -> t
 def with_moment(mean: Array, moment: Array) -> Array:
     """Return held commands (N,) that move a mass as commands with these means and moments do.
 
+    Both may be (..., N, C), of several commands.
+
     A command that acts late in its period gives the same speed and less way. So does a pair of
     commands with no mean, one period before and one after.
     """
-    wide = np.pad(moment, 1, mode="edge")
-    return np.asarray(mean + 0.5 * (wide[:-2] - wide[2:]))
+    rows = 0 if moment.ndim == 1 else -2
+    ends = (np.take(moment, [k], rows) for k in (0, -1))
+    wide = np.moveaxis(np.concatenate([next(ends), moment, next(ends)], rows), rows, 0)
+    return np.asarray(mean + 0.5 * np.moveaxis(wide[:-2] - wide[2:], 0, rows))
 
 
 def lagged_within(held: Array, tau_s: float, Ts_s: float, share: float) -> Array:

@@ -15,9 +15,9 @@ from functools import partial
 
 import numpy as np
 
-from .base import Effect, Places, Quantity, Signals, Term, on_coil
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
 from .operating_range import TRAVEL, Extent
-from .point_force_conversion import heights
+from .point_force_conversion import times_height
 
 _TYPICAL_CYCLES, _WIDER = 5.0, 2.0
 """Cycles over the travel to start from if no line is known; bounds beyond the start values."""
@@ -57,7 +57,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def _ripple(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
-    q = signals.q + signals.lag_s * signals.qd
-    x = signals.when_acting(heights(q, signals.places.actuator_motion[[coil]]))[:, 0]
-    angle, F = 2 * np.pi / shape[0] * x, signals.coil[:, coil]
-    return [on_coil(signals, coil, F * np.sin(angle)), on_coil(signals, coil, F * np.cos(angle))]
+    def waves(x: Array) -> Array:
+        return np.stack([np.sin(2 * np.pi / shape[0] * x), np.cos(2 * np.pi / shape[0] * x)])
+
+    F = signals.coil[:, [coil]]
+    return [on_coil(signals, coil, w[:, 0]) for w in times_height(signals, [coil], F, waves)]

@@ -1,0 +1,53 @@
+"""Means around rows of a force that turns with the speed faster than records are sampled.
+
+Between two rows the speed is the cubic that has both rows' speeds and accelerations. Each half of a
+row is cut into parts in which it is nearly linear, so that the mean of a law is a difference of its
+integral, however fast it turns there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .base import Array, Signals
+
+_PARTS = 2
+"""Parts of each half of a row."""
+_STILL = 1e-4
+"""Change of a law's argument in a part below which the law is that of the middle, to 1e-9."""
+
+
+def speeds_between_rows(signals: Signals, dof: int) -> Array:
+    """Return the speeds (2 _PARTS + 1, N - 1) of a DOF from each row to the next one."""
+    v, a = signals.qd[:, dof], signals.Ts_s * signals.qdd[:, dof]
+    s = np.linspace(0.0, 1.0, 2 * _PARTS + 1)[:, None]
+    end = s * s * (3.0 - 2.0 * s)
+    begin_slope, end_slope = s * (1.0 - s) ** 2, s * s * (s - 1.0)
+    return np.asarray(v[:-1] + end * (v[1:] - v[:-1]) + begin_slope * a[:-1] + end_slope * a[1:])
+
+
+def means_of_parts(
+    x: Array, law: Callable[[Array], Array], integral: Callable[[Array], Array]
+) -> Array:
+    """Return the means (2 _PARTS, N - 1) of a law over parts that end at arguments x."""
+    whole, change = integral(x), np.diff(x, axis=0)
+    return np.divide(
+        np.diff(whole, axis=0), change, out=law(middles(x)), where=np.abs(change) > _STILL
+    )
+
+
+def middles(x: Array) -> Array:
+    """Return the arguments (2 _PARTS, N - 1) in the middle of each part."""
+    return np.asarray(0.5 * (x[1:] + x[:-1]))
+
+
+def at_rows(parts: Array) -> Array:
+    """Return the values at rows (N,) of a force with these means of parts, behind a low-pass.
+
+    The mean around a row of a wave of w is smaller than the wave by (w Ts)^2 / 24.
+    """
+    before, behind = parts[:_PARTS].mean(axis=0), parts[_PARTS:].mean(axis=0)
+    means = 0.5 * (np.append(before, behind[-1]) + np.append(before[0], behind))
+    return np.asarray(means - np.diff(np.pad(means, 1, mode="edge"), 2) / 24.0)

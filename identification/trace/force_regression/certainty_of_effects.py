@@ -48,14 +48,16 @@ class Certainty:
     ) -> Certainty:
         """Judge the result of a search; `others`: in other bands, the last with more noise.
 
-        unbiased: the model fitted with instruments, whose numbers take the place of the found ones.
+        unbiased: the model fitted with instruments, whose numbers take the place of the found ones
+        where these miss more force than the error of an equation.
         """
         base = numbers(found.point)
         richer = _with_what_came_near(found, training, options)
         moved = [numbers(model)[: len(base)] - base for model in richer]
-        if unbiased is None:
+        if unbiased is None or not unbiased.large:
             point, instruments = found.point, None
             moved += [numbers(other.fit(point)) - base for other in others]
+            moved += [] if unbiased is None else [numbers(unbiased.point) - base]
         else:
             point, instruments = unbiased.point, unbiased.instruments
             moved += [numbers(other) - numbers(point) for other in unbiased.others]

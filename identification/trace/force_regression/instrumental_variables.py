@@ -28,7 +28,7 @@ from .force_record import ForceModel, ForceRecord
 from .free_numbers import moved_by, numbers, way
 from .intervals import Influences
 from .residual_whitening import SEGMENTS
-from .training_records import HALVINGS, STEPS, Training
+from .training_records import HALVINGS, STEPS, Training, missing_share
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -100,11 +100,17 @@ def instruments_of(
 
 @dataclass(frozen=True)
 class Unbiased:
-    """A model fitted with instruments, these, and the same model fitted so in other bands."""
+    """A model fitted with instruments, these, and the same model fitted so in other bands.
+
+    large: whether it misses more force than the error of an equation may be. What is smaller need
+    not be a random force: both fits are then as wrong as the equation, and nothing tells which of
+    them more.
+    """
 
     point: ForceModel
     instruments: Training
     others: tuple[ForceModel, ...]
+    large: bool
 
     @classmethod
     def of(
@@ -116,6 +122,7 @@ class Unbiased:
         hold: Hold,
         law_hz: float,
         sd: Array,
+        options: SearchOptions,
     ) -> Unbiased | None:
         """Return the fit with instruments; None without these, or if `point` may be as right.
 
@@ -133,7 +140,9 @@ class Unbiased:
             return None
         pairs = [(other, instruments_of(alone, other, hold, law_hz, sd)) for other in others]
         fits = [fit_with_instruments(found, *pair) for pair in pairs]
-        return cls(found, instruments, tuple(f for f in fits if f is not None))
+        missing = missing_share(training.plain().at(point)).max()
+        large = bool(missing > options.least_force)
+        return cls(found, instruments, tuple(f for f in fits if f is not None), large)
 
 
 def _contradicts(

@@ -186,7 +186,7 @@ def _traced(
             for step in BAND_STEPS
             if step != _MIDDLE
         ]
-        unbiased = Unbiased.of(found.point, training, others, train, hold, law_hz, sd)
+        unbiased = Unbiased.of(found.point, training, others, train, hold, law_hz, sd, options)
         noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
         more = np.sqrt(2.0) * sd
         others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))

@@ -262,6 +262,8 @@ class Quantity:
     difference: float = 1e-3
     """Relative change with which such a value's derivatives are computed: more, where each bounce
     off a stop comes otherwise after the last one came a little otherwise."""
+    another_above: float = np.inf
+    """Value above which another law is meant, though this one is defined there."""
     another_below: bool = False
     """Whether another law begins at `low`, so that a fit which ends there looks for that one."""
     corner: bool = False

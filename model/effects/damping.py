@@ -6,7 +6,9 @@ Sensors and Actuators A 136, 2007). Signature: a force that is zero at zero spee
 function of the speed and responds at odd lines of a multisine; a film also responds at even lines,
 and its force depends on the pose. Friction, unlike damping, does not grow with the speed. The
 viscosity of grease falls with the shear rate (Cross, *Rheology of non-Newtonian fluids*, J. Colloid
-Sci. 20, 1965): such damping grows less than the speed, and levels off at high speeds only.
+Sci. 20, 1965): such damping grows less than the speed, and levels off at high speeds only. The drag
+of eddy currents has its maximum at a critical speed and falls beyond (Wouterse, *Critical torque
+and speed of eddy current brake with widely separated soft iron poles*, IEE Proc. B 138, 1991).
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from .point_force_conversion import forces, heights
 
 _SMALLEST_M = 1e-3
 """The end stops are at 0.9 mm: the film at the working point is at least as thick."""
-_SPEEDS = (0.3, 10.0)
+_SPEEDS = (0.1, 10.0)
 """Range of the speed at which damping has halved, over the RMS speed: below it is dry friction, and
 above it is linear damping."""
 
@@ -168,31 +170,43 @@ def _with_positions(places: Places) -> list[Effect]:
 
 
 def _falling(places: Places, extent: Extent) -> list[Effect]:
-    """Return damping that falls with the speed, of each DOF."""
+    """Return damping that falls with the speed, of each DOF, as of grease and of eddy currents."""
     found = []
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
         low, high = (share * extent.speed[i] for share in _SPEEDS)
-        found.append(
+        v_0 = Quantity("v_0", f"{unit}/s", low, high, log=True, another_below=True)
+        found += [
             Effect(
-                "damping.falling",
-                "Damping that falls with the speed",
+                key,
+                name,
                 "damping",
                 (dof,),
-                "force = -d q' / (1 + |q'| / v_0)",
+                equation,
                 (Quantity("d", f"{places.force_unit(i)} s/{unit}", 0.0),),
-                partial(_thinning, dof=i),
-                (Quantity("v_0", f"{unit}/s", low, high, log=True, another_below=True),),
-                tuple((share * extent.speed[i],) for share in (0.5, 1.0, 3.0)),
+                partial(law, dof=i),
+                (v_0,),
+                tuple((share * extent.speed[i],) for share in (0.2, 0.5, 1.0, 3.0)),
                 absorbed_by="the part linear in the speed: the declared damping",
                 told_apart_by="two amplitudes of excitation",
             )
-        )
+            for key, name, equation, law in (
+                ("damping.falling", "Damping that falls with the speed",
+                 "force = -d q' / (1 + |q'| / v_0)", _thinning),
+                ("damping.eddy_current", "Damping by eddy currents, with a critical speed",
+                 "force = -d q' / (1 + (q' / v_0)^2)", _eddy_currents),
+            )
+        ]  # fmt: skip
     return found
 
 
 def _thinning(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     qd = signals.qd[:, dof]
     return [on_dof(signals, dof, -qd / (1.0 + np.abs(qd) / shape[0]))]
+
+
+def _eddy_currents(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    qd = signals.qd[:, dof]
+    return [on_dof(signals, dof, -qd / (1.0 + (qd / shape[0]) ** 2))]
 
 
 def _coupled(signals: Signals, _shape: Sequence[float], *, pair: tuple[int, int]) -> list[Term]:

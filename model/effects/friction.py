@@ -36,6 +36,9 @@ LAWS = tuple(
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of the Maxwell elements, relative to the smallest."""
 _WIDE = 1e3
+_DRY = 0.1
+"""Largest speed within which dry friction turns, over the RMS speed: what takes longer is a damping
+that levels off."""
 _LOOPS = "several amplitudes of a slow excitation"
 _ELASTIC = "without slip: stiffness; with fast full slip: offset"
 
@@ -146,7 +149,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 def turning_speed(unit: str, speed: float) -> Quantity:
     """Return v_s, within which friction turns, of a DOF in a unit with an RMS speed."""
-    return Quantity("v_s", f"{unit}/s", speed / _WIDE, 3 * speed, log=True)
+    low, high = speed / _WIDE, 3 * speed
+    return Quantity("v_s", f"{unit}/s", low, high, log=True, another_above=_DRY * speed)
 
 
 def direction(signals: Signals, dof: int, v_s: float, peak: float = np.inf) -> Array:

@@ -112,6 +112,7 @@ _CLAUSES = {
     "damping.one_sided": "the damping of {at} changes with the position",
     "damping.outward": "the damping of {at} changes with the position squared",
     "damping.falling": "the damping of {at} falls with the speed",
+    "damping.eddy_current": "the drag of eddy currents acts on {at}",
     "damping.asymmetric": "the damping of {at} differs between the two directions",
     "friction.beam_chain": "the beam's cable chain drags on {at}",
     "friction.bearing": "the beam's bearing has friction",

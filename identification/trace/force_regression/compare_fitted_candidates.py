@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ....model.effects.actuator_chain import orders
+from ....model.effects.actuator_chain import orders, same_law
 from ....model.effects.base import Effect, Placed
 from ...rounding import TINY
 from ..search_options import SearchOptions
@@ -120,8 +120,19 @@ class _Fitted:
 
     @property
     def is_law(self) -> bool:
-        """Whether it is as textbooks have it, or they have no other form of it."""
-        return self.textbook or self.rated.placed.as_textbook() is None
+        """Whether it is as textbooks have it, or they have no other form of it; where its range
+        ends another law begins."""
+        placed = self.last
+        pairs = zip(placed.effect.shape, placed.shape, strict=True)
+        if any(q.another_below and value <= q.low for q, value in pairs):
+            return False
+        return self.textbook or placed.as_textbook() is None
+
+    @property
+    def last(self) -> Placed:
+        """The candidate with the numbers of the fit."""
+        own = self.rated.placed.effect
+        return next(p for p in self.point.placed if same_law(p.effect, own))
 
     @property
     def numbers(self) -> int:

@@ -39,6 +39,9 @@ _MOST_ERROR_SHARE = 0.5
 """Largest standard error of an identified parameter, over its uncertainty before."""
 
 
+_COULOMB = "friction.coulomb"
+
+
 @dataclass(frozen=True)
 class FoundLaw:
     """An effect that the search added.
@@ -107,6 +110,8 @@ class FoundLaw:
             f"its {' and '.join(self.at_limit)} ended at the limit of what it can be": bool(
                 self.at_limit
             ),
+            "dry friction turns at once, and this within a large part of the speeds: it may be a "
+            "damping that levels off": self.turns_slowly,
             "the rows that neither fitted nor chose miss more force with what was found": more,
             "with what was found the free run is farther from these rows": farther,
             self._off: self.floors > self.agreement,
@@ -157,6 +162,18 @@ class FoundLaw:
             if told and (above or (q.another_below and value <= q.low)):
                 found.append(q.name)
         return found
+
+    @property
+    def turns_slowly(self) -> bool:
+        """Whether it is a dry friction that surely is not dry at most of the speeds."""
+        effect, shape = self.placed.effect, self.placed.shape
+        coulomb = tuple if effect.key == _COULOMB else effect.contains.get(_COULOMB)
+        if coulomb is None:
+            return False
+        v_s = effect.shape[0]
+        se = self.parameters[v_s.name].se
+        told = se is not None and self.surely * se < shape[0]
+        return told and coulomb(shape)[0] > v_s.another_above
 
     @property
     def unequal(self) -> bool:
@@ -345,9 +362,12 @@ def _nearest(trace: ForceTrace) -> str:
             if not r.gain.elsewhere:
                 why = "is contradicted by a record"
             elif r.force <= options.least_force:
-                why = "is too small to matter"
+                why = "leave the missing force as large as it is"
+                if r.force > 0.0:
+                    by = percent(r.force, 1)
+                    why = f"lower the missing force by {by} of the inputs' force only"
             return (
-                f"{which} {r.placed.effect.name}, which would take {r.share:.0%} of the "
+                f"{which} {r.placed.effect.name}, which would take {r.share:.0%} of the weighed "
                 f"squared missing force{rest} and {why}"
             )
     return ""

@@ -34,7 +34,8 @@ from .training_records import Training, missing_share
 
 Progress = Callable[[str, float], None]
 
-_FRICTION, _ALSO = "friction", ("backlash.play", "damping.falling")
+_FRICTION = "friction"
+_ALSO = ("backlash.play", "damping.falling", "damping.eddy_current")
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,28 @@ def test_a_part_passed_on_is_the_derivative_of_what_leaves() -> None:
         np.testing.assert_allclose(term.held, change, atol=2e-3 * np.abs(change).max())
 
 
+def magnet() -> Placed:
+    found = (e for e in TABLE if e.key.startswith("magnetic_force.i2_y2.opens"))
+    (effect,) = (e for e in found if e.where == ("x", "f"))
+    return Placed(effect, (2.0, 5.0), (3.0,))
+
+
+def test_a_magnet_has_the_current_that_a_lag_leaves() -> None:
+    s = replace(signals(), q=np.stack([0.3 * np.sin(4.0 * signals().time_s)] * 2, axis=1))
+    lagged = in_chain([LAG], s)[1]
+    force = together([magnet(), LAG], s).force
+    np.testing.assert_array_equal(force, magnet().term(replace(s, coil=lagged)).force)
+    # So what more of the lag does is also what it does to the magnet's force.
+    terms = LAG.effect.build(reaching(LAG.effect, [LAG, magnet()], s), LAG.shape)
+    (term,) = passed_on(LAG.effect, terms, [LAG, magnet()], s)
+    ends = []
+    for step in (-1e-5, 1e-5):
+        moved = replace(LAG, amplitudes=(LAG.amplitudes[0] + step,))
+        ends.append(together([moved, magnet()], s).force)
+    change = (ends[1] - ends[0]) / 2e-5
+    np.testing.assert_allclose(term.force, change, atol=2e-3 * np.abs(change).max())
+
+
 def test_orders_are_asked_only_where_there_is_a_lag() -> None:
     before = part("saturation", (0.8,), (2.0, 8.0))
     assert orders([before, OTHER], TABLE, False) == [(before, OTHER)]

@@ -37,6 +37,7 @@ FAMILIES = ("gravity.", "backlash.", "cogging.", "magnetic_force.", "actuator.")
 KEYS = (
     "damping.asymmetric",
     "damping.falling",
+    "damping.eddy_current",
     "friction.coulomb_asymmetric",
     "friction.stribeck_asymmetric",
     "gravity.sine",
@@ -218,6 +219,7 @@ def times_speed(q, v, F, a):
 
 
 LAWS: dict[str, Law] = {
+    "damping.eddy_current": lambda q, v, F, d, v_0: -d * v / (1.0 + (v / v_0) ** 2),
     "damping.falling": lambda q, v, F, d, v_0: -d * v * v_0 / (v_0 + np.abs(v)),
     "damping.asymmetric": lambda q, v, F, asymmetry: -asymmetry * np.sign(v) * v,
     "friction.coulomb_asymmetric": sliding,

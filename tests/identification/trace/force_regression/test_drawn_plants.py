@@ -86,3 +86,14 @@ def test_two_large_effects_are_found_whose_gains_scatter_without_each_other() ->
     assert found.right
     assert not found.doubtful
     assert found.force[1] < 0.02 * found.force[0]
+
+
+def test_friction_that_turns_within_the_speeds_is_in_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    def without(*args: Any) -> tuple[Effect, ...]:
+        smooth = ("damping.falling", "damping.eddy_current")
+        return tuple(e for e in all_effects(*args) if e.key not in smooth)
+
+    # If damping that levels off is not in the table, a friction with a slow turn is its best.
+    monkeypatch.setattr(imported_plants, "all_effects", without)
+    found = scored("drive", "thinning_grease", 862_001)
+    assert not found.sure_and_false

@@ -107,6 +107,7 @@ def stribeck(_q: float, v: float, _u: float) -> float:
 
 
 CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]]] = {
+    "damping.eddy_current": ((0.3,), (2.0,), lambda: lambda q, v, u: -0.3 * v / (1 + v * v / 4)),
     "damping.falling": ((0.3,), (2.0,), lambda: lambda q, v, u: -0.3 * v / (1.0 + abs(v) / 2.0)),
     "damping.asymmetric": ((0.05,), (), lambda: lambda q, v, u: -0.05 * abs(v)),
     "friction.coulomb_asymmetric": (

@@ -29,11 +29,13 @@ class Loads:
     """Mean squares (K, C) of the actuator commands in a session, each valid from times_s (K,) on.
 
     Squares are in the actuators' unit squared; times_s is on the time axis of Signals.time_s. The
-    last row is valid until the end.
+    last row is valid until the end. between (K,): whether a row is of the time between records, and
+    its squares are those of the next record to it; empty without such rows.
     """
 
     times_s: tuple[float, ...]
     squares: tuple[tuple[float, ...], ...]
+    between: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,12 @@
 
 A coil's heat follows the square of its current through a first-order lag, and its magnet weakens
 with temperature (Sebastian, *Temperature effects on torque production of PM motors*, IEEE Trans.
-Ind. Appl. 31, 1995). The equation assumes cold coils at the time `before` ahead of the session's
-first record. Signature: a force error that depends on the time since the session's begin, not on
-frequency. Thermal drift is proportional to the command and recovers when the coil cools; the drift
-of an offset does not depend on the command and does not recover.
+Ind. Appl. 31, 1995). A platform that flies through a session has a load between records as well,
+and was cold at the time `before` ahead of the first one; an actuator that rests between records
+cools down there, and was cold when the first one began. Signature: a force error that depends on
+the time since the session's begin, not on frequency. Thermal drift is proportional to the command
+and recovers when the coil cools; the drift of an offset does not depend on the command and does not
+recover.
 """
 
 from __future__ import annotations
@@ -81,6 +83,23 @@ def effects(places: Places) -> list[Effect]:
                 told_apart_by=_LONG,
             )
         )
+        if not places.beam:
+            found.append(
+                Effect(
+                    "thermal_drift.heat_with_rests",
+                    places.worded(f"Gain that falls with the coil's heat, with rests{suffix}"),
+                    "thermal_drift",
+                    where,
+                    "force = (1 - a heat) F, heat' = (F^2 - heat) / tau; heat = 0 at the session's "
+                    "begin, and F = 0 between its records",
+                    (Quantity("a", per_unit(unit, 2)),),
+                    partial(_with_heat, coils=coils, rests=True),
+                    (Quantity("tau", "s", 0.5, 1000.0, log=True),),
+                    ((_WARM_S,),),
+                    absorbed_by="in thermal equilibrium: the gain",
+                    told_apart_by=_LONG,
+                )
+            )
     return found
 
 
@@ -92,24 +111,37 @@ def _with_time(signals: Signals, _shape: Sequence[float], *, coils: tuple[int, .
     return _held(signals, coils, [-signals.time_s * signals.coil[:, c] for c in coils])
 
 
-def _with_heat(signals: Signals, shape: Sequence[float], *, coils: tuple[int, ...]) -> list[Term]:
-    return _held(signals, coils, [_weakened(signals, c, *shape) for c in coils])
+def _with_heat(
+    signals: Signals, shape: Sequence[float], *, coils: tuple[int, ...], rests: bool = False
+) -> list[Term]:
+    return _held(signals, coils, [_weakened(signals, c, rests, *shape) for c in coils])
 
 
-def _weakened(signals: Signals, coil: int, tau_s: float, before_s: float) -> Array:
-    F = signals.coil[:, coil]
-    return -heat(F * F, tau_s, signals.Ts_s, carried(signals, coil, tau_s, before_s)) * F
+def _weakened(
+    signals: Signals, coil: int, rests: bool, tau_s: float, before_s: float = 0.0
+) -> Array:
+    F, begin = signals.coil[:, coil], carried(signals, coil, tau_s, before_s, rests)
+    return -heat(F * F, tau_s, signals.Ts_s, begin) * F
 
 
-def carried(signals: Signals, coil: int, tau_s: float, before_s: float) -> float:
-    """Return a coil's heat (its unit squared) at the record's begin, from the session before it."""
+def carried(
+    signals: Signals, coil: int, tau_s: float, before_s: float, rests: bool = False
+) -> float:
+    """Return a coil's heat (its unit squared) at the record's begin, from the session before it.
+
+    rests: whether there is no command between records.
+    """
     begin_s, loads = float(signals.time_s[0]), signals.places.loads
+    if loads is None and rests:
+        return 0.0
     if loads is None:  # assume the record's median command since the session's begin
         since_s = max(float(signals.time_s[0]), 0.0) + before_s
         return float(np.median(signals.coil[:, coil])) ** 2 * -math.expm1(-since_s / tau_s)
     squares, begins_s = np.array(loads.squares)[:, coil], np.array(loads.times_s)
     ends_s = np.append(begins_s[1:], np.inf)
     begins_s[0] -= before_s
+    if rests and loads.between:
+        squares = np.where(loads.between, 0.0, squares)
     left = np.exp(np.minimum([begins_s - begin_s, ends_s - begin_s], 0.0) / tau_s)
     return float(squares @ (left[1] - left[0]))
 

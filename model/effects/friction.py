@@ -36,9 +36,9 @@ LAWS = tuple(
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of the Maxwell elements, relative to the smallest."""
 _WIDE = 1e3
-_DRY = 0.1
-"""Largest speed within which dry friction turns, over the RMS speed: what takes longer is a damping
-that levels off."""
+_DRY = 0.2
+"""Largest speed within which dry friction turns, over the RMS speed: a random motion is slower
+for a sixth of the time. What takes longer is a damping that levels off."""
 _LOOPS = "several amplitudes of a slow excitation"
 _ELASTIC = "without slip: stiffness; with fast full slip: offset"
 

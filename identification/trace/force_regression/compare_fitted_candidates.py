@@ -49,6 +49,9 @@ def fitted_rivals(
         point = _in_best_order(beside, rated, table, training, least, plain)
         noise = training.noise(beside)
         own = _Fitted.at(point, rated, training, noise, options)
+        if plain is None and (textbook := own.rated.placed.as_textbook()) is not None:
+            # Its first numbers were beyond what a textbook law can have; the fitted ones are not.
+            plain = _plain(beside, textbook, table, training, least)
         if plain is not None:
             held = _Fitted.at(plain, rated, training, noise, options)
             own = replace(own, textbook=not _worse(held, own, training.blocks, options))

@@ -29,16 +29,17 @@ def loads_of(records: Sequence[TraceRecord]) -> Loads:
 
     Between records, the first half of the time has the load before, the second half the load after.
     """
-    times: list[float] = []
-    squares: list[tuple[float, ...]] = []
+    found: list[tuple[float, tuple[float, ...], bool]] = []
     end_s = -np.inf
     for record in sorted(records, key=lambda r: float(r.time_s[0])):
         rows = max(round(_BLOCK_S / record.experiment.Ts_s), 1)
         for first in range(0, record.rows, rows):
             begin_s = float(record.time_s[first])
-            between = first == 0 and np.isfinite(end_s)
-            times.append(0.5 * (begin_s + end_s) if between else begin_s)
             command = record.coil[first : first + rows]
-            squares.append(tuple(np.mean(command * command, axis=0).tolist()))
+            load = tuple(np.mean(command * command, axis=0).tolist())
+            if first == 0 and found:
+                found += [(end_s, found[-1][1], True), (0.5 * (begin_s + end_s), load, True)]
+            found.append((begin_s, load, False))
         end_s = float(record.time_s[-1])
-    return Loads(tuple(times), tuple(squares))
+    times_s, squares, between = zip(*found, strict=True)
+    return Loads(times_s, squares, between)

@@ -37,6 +37,7 @@ def test_the_effect_of_a_plant_is_named(plant: str, law: str, seed: int) -> None
 @pytest.mark.parametrize(
     ("law", "seed"),
     [
+        ("lag", 862_001),  # of an open loop: so is one of its sensor
         ("delay", 700_001),  # shorter than a period: a lag is alike
         ("gravity", 750_001),  # of a small swing: so is a cubic stiffness
     ],

@@ -161,7 +161,8 @@ def test_a_dead_zone_behind_a_lag_is_found_while_a_record_contradicts_it() -> No
     assert trace.found.point.model.values["tau"] == pytest.approx(6e-3, rel=0.02)
 
 
-def test_heat_of_an_actuator_lasts_from_record_to_record() -> None:
+@pytest.mark.parametrize("pause_s", [0.0, 20.0])
+def test_heat_of_an_actuator_lasts_from_record_to_record(pause_s: float) -> None:
     config, heat, records = parse_text(MOTOR, ModelConfig, "motor"), [0.0], []
     rows, Ts_s, tau_s = 3000, 4e-3, 15.0
     for n, level in enumerate((2.0, 3.2, 1.0)):
@@ -178,13 +179,14 @@ def test_heat_of_an_actuator_lasts_from_record_to_record() -> None:
         )
         e = Experiment(f"r{n}", Ts_s, u, y, {}, frozenset(), False)
         record = imported_trace_record(e, config)
-        record.time_s[:] += n * rows * Ts_s
+        record.time_s[:] += n * (rows * Ts_s + pause_s)
         records.append(record)
+        heat[0] *= exp(-pause_s / tau_s)
     trace = trace_records(records, config, all_effects, lambda *_: None)
     found = named(trace)
-    assert set(found) == {"thermal_drift.heat"}
-    assert found["thermal_drift.heat"]["a"] == pytest.approx(0.02, rel=0.05)
-    assert found["thermal_drift.heat"]["tau"] == pytest.approx(tau_s, rel=0.1)
+    assert set(found) == {"thermal_drift.heat_with_rests"}
+    assert found["thermal_drift.heat_with_rests"]["a"] == pytest.approx(0.02, rel=0.05)
+    assert found["thermal_drift.heat_with_rests"]["tau"] == pytest.approx(tau_s, rel=0.1)
 
 
 def test_a_load_behind_a_gap_is_found_at_its_motor() -> None:

@@ -178,6 +178,15 @@ _CLAUSES = {
     "actuator.load_friction": "the gear of {at} rubs in proportion to its load",
     "actuator.times_speed": "the force of {at} falls with the speed",
     "actuator.quantised": "the command of {at} has steps of {step}",
+    "actuator.squared_after_lag": (
+        "a part of the force of {at} is the square of what its lag leaves"
+    ),
+    "actuator.quadratic_after_lag": (
+        "a part of the force of {at} is the square of what its lag leaves"
+    ),
+    "actuator.squared": "a part of the force of {at} is the square of its command",
+    "actuator.quadratic": "a part of the force of {at} is the square of its command",
+    "actuator.cubic": "a part of the force of {at} is the cube of its command",
     "actuator.": "the force of {at} is not proportional to its command",
     "reading.eccentric": "the encoder of {at} is eccentric",
     "reading.lag": "the reading of {at} lags by {lag}",

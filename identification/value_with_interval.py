@@ -9,6 +9,7 @@ _PLAIN = range(-3, 6)
 
 
 PERCENT = 100.0
+"""Of a whole."""
 
 
 def percent(share: float, digits: int = 2) -> str:

@@ -19,7 +19,8 @@ from .base import Array, Effect, Placed, Signals, Term
 _ON_COMMAND = ("dead_zone", "saturation", "actuator_nonlinearity")
 _ON_FORCE = ("thermal_drift", "force_constant", "torque_ripple", "coil_gain")
 _LAGS = ("rate_limit", "actuator_lag")
-_LOADED, _AT_ITS_END = "actuator.load_friction", ("magnetic_force",)
+_LOADED = "actuator.load_friction"
+"""A friction by its class, but of what the command does."""
 _ORDER = (
     *_ON_COMMAND,
     *_LAGS,
@@ -27,7 +28,7 @@ _ORDER = (
     *(f"{kind} behind" for kind in _ON_COMMAND),
     *_ON_FORCE,
     _LOADED,
-    *_AT_ITS_END,
+    "magnetic_force",
 )
 """Classes of effects in the order in which a command passes them. Where a delay is among them does
 not show."""

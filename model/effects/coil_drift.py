@@ -64,43 +64,34 @@ def effects(places: Places) -> list[Effect]:
         )
         if len(coils) > 1 and not places.one_command_unit:
             continue  # one law of heat for all needs commands of one unit
-        found.append(
-            Effect(
-                "thermal_drift.heat",
-                places.worded(f"Gain that falls with the coil's heat{suffix}"),
-                "thermal_drift",
-                where,
-                "force = (1 - a heat) F, heat' = (F^2 - heat) / tau; heat = 0 and F as in the "
-                "first row from `before` the session's first record on",
-                (Quantity("a", per_unit(unit, 2)),),
-                partial(_with_heat, coils=coils),
-                (
-                    Quantity("tau", "s", 0.5, 1000.0, log=True),
-                    Quantity("before", "s", 0.1, _LONGEST_BEFORE_S, log=True),
-                ),
-                ((_WARM_S, _BEFORE_S),),
-                absorbed_by=places.worded("in thermal equilibrium: the coil's gain"),
-                told_apart_by=_LONG,
-            )
-        )
+        found.append(_heat(places, coils, suffix, rests=False))
         if not places.beam:
-            found.append(
-                Effect(
-                    "thermal_drift.heat_with_rests",
-                    places.worded(f"Gain that falls with the coil's heat, with rests{suffix}"),
-                    "thermal_drift",
-                    where,
-                    "force = (1 - a heat) F, heat' = (F^2 - heat) / tau; heat = 0 at the session's "
-                    "begin, and F = 0 between its records",
-                    (Quantity("a", per_unit(unit, 2)),),
-                    partial(_with_heat, coils=coils, rests=True),
-                    (Quantity("tau", "s", 0.5, 1000.0, log=True),),
-                    ((_WARM_S,),),
-                    absorbed_by="in thermal equilibrium: the gain",
-                    told_apart_by=_LONG,
-                )
-            )
+            found.append(_heat(places, coils, suffix, rests=True))
     return found
+
+
+def _heat(places: Places, coils: tuple[int, ...], suffix: str, rests: bool) -> Effect:
+    """Return the heat of coils that rest between records, or of such that do not."""
+    title = "Gain that falls with the coil's heat"
+    begin = "heat = 0 and F as in the first row from `before` the session's first record on"
+    tau = Quantity("tau", "s", 0.5, 1000.0, log=True)
+    before = Quantity("before", "s", 0.1, _LONGEST_BEFORE_S, log=True)
+    if rests:
+        title += ", with rests"
+        begin = "heat = 0 at the session's begin, and F = 0 between its records"
+    return Effect(
+        "thermal_drift.heat" + ("_with_rests" if rests else ""),
+        places.worded(title + suffix),
+        "thermal_drift",
+        tuple(places.actuator(c) for c in coils),
+        f"force = (1 - a heat) F, heat' = (F^2 - heat) / tau; {begin}",
+        (Quantity("a", per_unit(places.command_unit(coils[0]), 2)),),
+        partial(_with_heat, coils=coils, rests=rests),
+        (tau,) if rests else (tau, before),
+        ((_WARM_S,) if rests else (_WARM_S, _BEFORE_S),),
+        absorbed_by=places.worded("in thermal equilibrium: the coil's gain"),
+        told_apart_by=_LONG,
+    )
 
 
 def _offset(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:
@@ -112,7 +103,7 @@ def _with_time(signals: Signals, _shape: Sequence[float], *, coils: tuple[int, .
 
 
 def _with_heat(
-    signals: Signals, shape: Sequence[float], *, coils: tuple[int, ...], rests: bool = False
+    signals: Signals, shape: Sequence[float], *, coils: tuple[int, ...], rests: bool
 ) -> list[Term]:
     return _held(signals, coils, [_weakened(signals, c, rests, *shape) for c in coils])
 

@@ -110,8 +110,8 @@ class FoundLaw:
             f"its {' and '.join(self.at_limit)} ended at the limit of what it can be": bool(
                 self.at_limit
             ),
-            "dry friction turns at once, and this within a large part of the speeds: it may be a "
-            "damping that levels off": self.turns_slowly,
+            "it turns over a large part of the speeds, where dry friction turns at once: it may be "
+            "a damping that levels off": self.turns_slowly,
             "the rows that neither fitted nor chose miss more force with what was found": more,
             "with what was found the free run is farther from these rows": farther,
             self._off: self.floors > self.agreement,

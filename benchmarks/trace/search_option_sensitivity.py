@@ -39,8 +39,7 @@ PLANTS = ("drive", "pendulum", "levitation")
 """Plants of one DOF, which are traced in seconds."""
 FIRST_SEED = 130_000
 """No plant of these seeds was used to develop the trace."""
-RATIOS = ("explained", "much_left")
-OF_THE_RIG = ("law_accuracy", "explained", "block_s")
+OF_THE_RIG = ("law_accuracy", "block_s")
 """Numbers that the search in prediction errors alone reads."""
 MOST_POINTS = 2.0
 
@@ -105,8 +104,7 @@ def variants(options: SearchOptions) -> Iterator[Variant]:
             continue
         value = getattr(options, field.name)
         for word, factor in (("half", 0.5), ("double", 2.0)):
-            one = 1.0 if field.name in RATIOS else 0.0
-            other = type(value)(round(one + factor * (value - one), 12))
+            other = type(value)(round(factor * value, 12))
             yield Variant(f"{field.name} {word}", replace(options, **{field.name: other}))
 
 

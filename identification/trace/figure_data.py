@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +31,11 @@ from .worker_pool import Workers
 
 Array = NDArray[np.float64]
 
-_SAMPLE_HZ = 100.0
-_MOST_SAMPLES = 4000
-_SEEN = 0.05
+_MOST_SAMPLES = SearchOptions.at_a_time * SearchOptions.resolved**2
+"""Of a signal: some for each pixel of a figure."""
+_SEEN = SearchOptions.law_accuracy
 """Least size of a plotted part of an effect, over its largest part."""
-_MOST_ASPECTS = 3
+_MOST_ASPECTS = SearchOptions.resolved
 
 
 @dataclass(frozen=True)
@@ -142,9 +143,7 @@ def _view(
 
 
 def _thinning(record: TraceRecord) -> int:
-    return max(
-        round(1 / (_SAMPLE_HZ * record.experiment.Ts_s)), -(-record.rows // _MOST_SAMPLES), 1
-    )
+    return ceil(record.rows / _MOST_SAMPLES)
 
 
 def _blocks(record: TraceRecord) -> NDArray[np.int64]:

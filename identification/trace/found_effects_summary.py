@@ -40,9 +40,9 @@ ABOUT_METRIC = (
     "sensor noise, on held-out records; the first 5 s do not count (the first third of records "
     "under 15 s)"
 )
-NOISE_MOST = 1.15
+NOISE_MOST = SearchOptions().explained_by_laws
 """Largest error over noise floor that counts as noise: the floor has errors of a few percent."""
-SQUARE_MOST = SearchOptions.explained**2
+SQUARE_MOST = SearchOptions().explained ** 2
 _FAR_BELOW = 0.5
 """Mean square of one-step errors (1 for noise) below which the noise was overestimated."""
 NO_STILL = (
@@ -50,15 +50,16 @@ NO_STILL = (
     "effects. The residual may be above noise; free forms and vibration were not searched."
 )
 _NO_FLOOR = "no record tells noise from the model's error"
-_IN_DOUBT, _EXPLAINED = 2.0, 2.0 / 3.0
-"""Named effects are uncertain if the error stays above this multiple of the noise floor and they
-explain less than this share of the squared error above it."""
+_IN_DOUBT, _MUCH = 2.0, 0.5
+"""Named effects are uncertain if the error stays above this multiple of the noise floor, and what
+is left of the squared error above it is more than this share of what they explain."""
 _MANY = 2
 """More coils than this with equal forces act like a force on the DOF."""
 PERHAPS_A_PART = "perhaps a part of what is described freely there"
 _MAX_ERROR_SHARE = 0.5
 """Largest standard error of an identified parameter, over its uncertainty before."""
-_BAND = (0.1, 0.9)
+_OUTSIDE = SearchOptions.least_gain
+"""Share of the power on either side of a band that is stated."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +216,8 @@ class Outcome:
     def doubt(self) -> str:
         """Why all names are uncertain, in words; empty if they are not."""
         named = any(not f.unknown for f in self.effects)
-        if named and self.after > _IN_DOUBT * self.floor and self.explained < _EXPLAINED:
+        much = 1.0 - self.explained > _MUCH * self.explained
+        if named and self.after > _IN_DOUBT * self.floor and much:
             return (
                 f"the effects explain {percent(self.explained)} of the squared error above "
                 f"noise, and {self.after / self.floor:.2g} times the noise floor is left"
@@ -543,7 +545,7 @@ def _band(errors: Sequence[RecordError], dof: int) -> tuple[float, float]:
     for e in errors:
         power += np.interp(freq_hz, e.freq_hz, e.psd[:, dof], right=0.0) * e.seconds
     share = np.cumsum(power) / max(float(power.sum()), TINY)
-    low, high = (float(np.interp(at, share, freq_hz)) for at in _BAND)
+    low, high = (float(np.interp(at, share, freq_hz)) for at in (_OUTSIDE, 1.0 - _OUTSIDE))
     return low, high
 
 

@@ -44,11 +44,11 @@ from .worker_pool import RecordSource, Workers
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-_FIRST_ROWS = 8000
-_FIRST_RECORDS = 8
-_LOUDER = (1e9, 1e7, 1e5)
+_FIRST_S = 2.0 * SearchOptions.block_s
+_FIRST_RECORDS = SearchOptions().fewest_blocks
+_LOUDER = (SearchOptions().inexact ** -2, 1.0 / SearchOptions().inexact)
 """Factors on the force noise: large for a poor initial model, then smaller."""
-_AT_A_TIME = 128
+_AT_A_TIME = SearchOptions.at_a_time
 """Candidates that a worker is asked about at once where some records only are asked."""
 
 
@@ -356,7 +356,8 @@ def _parts(records: Sequence[TraceRecord]) -> list[TraceRecord]:
         chosen += [r for r in moving if r.kind == kind][: SearchOptions.patience]
     parts = []
     for record in chosen[:_FIRST_RECORDS]:
-        first = max((record.rows - _FIRST_ROWS) // 2, 0)
+        most = round(_FIRST_S / record.experiment.Ts_s)
+        first = max((record.rows - most) // 2, 0)
         # A copy, as a view would keep the whole record in memory.
-        parts.append(deepcopy(record.cut(first, min(first + _FIRST_ROWS, record.rows))))
+        parts.append(deepcopy(record.cut(first, min(first + most, record.rows))))
     return parts

@@ -20,43 +20,41 @@ class SearchOptions:
     least_gain: share of what noise does not explain that an effect must take to matter (0.1 is 5 %
     of the RMS error): of the free-run error of held-out records, of which one step ahead its square
     is enough; else of the errors that it is fitted to. Weights may not cost as much.
-    least_free_gain: the same for a free form, which fits a little of everything.
 
     accuracy: relative error of an equation that is right, from which follow `inexact`, `alike`,
     `visible`, `least_force` and `told_from_model`. law_accuracy: the same of a law of friction that
     stands for another one, such as eight slip elements for twenty.
 
-    explained, much_left: RMS errors over those of noise alone below which records are explained,
-    and above which free forms are asked.
-
     block_s: seconds of a block of time of the rig's records, and of a segment of spectra: longer
     than the platform remembers, so that blocks are independent.
     blocks: blocks of time of imported records, by whose scatter an effect is judged. Fewer make the
     scatter uncertain, more make the blocks shorter than what an effect needs to show.
-    fewest_blocks: in short records, of which each block needs two independent values.
+    In short records they are fewer, as each block needs two independent values.
 
-    reported: share of every imported record that neither fits nor chooses.
+    reported: share of all time that neither fits nor chooses.
 
     most_effects: bound of the search. fitted: candidates whose nonlinear numbers are fitted at
     once. patience: how many refusals in a row, detours and other ways a search tries. resamples:
     bootstrap samples of the blocks for the support.
+
+    resolved: points by which a period, a peak or a memory is resolved. steps: of an iteration, that
+    most do without. at_a_time: rows, columns or points that are dealt with at once.
     """
 
     standard_errors: float = 3.0
     least_gain: float = 0.1
-    least_free_gain: float = 0.2
     accuracy: float = 0.01
     law_accuracy: float = 0.05
-    explained: float = 1.03
-    much_left: float = 1.3
     block_s: float = 4.0
     blocks: int = 24
-    fewest_blocks: int = 8
     reported: float = 0.25
     most_effects: int = 6
     fitted: int = 10
     patience: int = 3
     resamples: int = 200
+    resolved: int = 4
+    steps: int = 20
+    at_a_time: int = 256
 
     @classmethod
     def chance(cls, count: int) -> float:
@@ -71,6 +69,26 @@ class SearchOptions:
         A gain of G squared errors of unit variance has a standard error of 2 sqrt(G).
         """
         return 2.0 * self.standard_errors
+
+    @property
+    def least_free_gain(self) -> float:
+        """The `least_gain` of a free form, which fits a little of everything."""
+        return 2.0 * self.least_gain
+
+    @property
+    def explained(self) -> float:
+        """RMS errors over those of noise alone below which records are explained."""
+        return 1.0 + self.standard_errors * self.accuracy
+
+    @property
+    def explained_by_laws(self) -> float:
+        """The same for laws that stand for others."""
+        return 1.0 + self.standard_errors * self.law_accuracy
+
+    @property
+    def much_left(self) -> float:
+        """RMS errors over those of noise alone above which an effect is missing that matters."""
+        return 1.0 + self.standard_errors * self.least_gain
 
     @property
     def detours(self) -> int:
@@ -123,6 +141,11 @@ class SearchOptions:
         accuracy of an equation at worst.
         """
         return 0.5 * self.accuracy
+
+    @property
+    def fewest_blocks(self) -> int:
+        """Blocks by whose scatter an effect can just be judged."""
+        return 2 * self.resolved
 
     @property
     def shortlisted(self) -> int:

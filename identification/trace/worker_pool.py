@@ -38,9 +38,8 @@ Answer = TypeVar("Answer")
 Task = Callable[[TraceRecord], Answer]
 Report = Callable[[str], None]
 
-_CONNECT_TIMEOUT_S = 10.0
-_POLL_S, _NO_WORKERS_TIMEOUT_S = 5.0, 60.0
-"""Interval of the check for workers in a cluster, and how long it may have none."""
+_POLL_S = 1.0
+"""Interval of the check for workers in a cluster."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +156,8 @@ class Spread:
             now_s = time.monotonic()
             if self._has_workers():
                 since_s = now_s
-            elif now_s - since_s > _NO_WORKERS_TIMEOUT_S:
-                raise IdentificationError(f"no workers for {_NO_WORKERS_TIMEOUT_S:.0f} s")
+            elif now_s - since_s > _timeout_s():
+                raise IdentificationError(f"no workers for {_timeout_s():.0f} s")
         return future.result()
 
 
@@ -240,18 +239,17 @@ def cluster_workers(config: ModelConfig, address: str, report: Report = print) -
 
     name = f"--dask {address}"
     try:
-        client = Client(address, timeout=f"{_CONNECT_TIMEOUT_S:.0f}s")
+        client = Client(address)
     except ValueError as error:  # from distributed's parser of addresses
         raise IdentificationError(
             f"{name}: expected an address tcp://HOST:PORT, found an invalid one ({error})"
         ) from None
     with client:
         try:
-            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT_S)
+            client.wait_for_workers(1, timeout=_timeout_s())
         except TimeoutError:
             raise IdentificationError(
-                f"{name}: expected a scheduler with workers, found none within "
-                f"{_CONNECT_TIMEOUT_S:.0f} s"
+                f"{name}: expected a scheduler with workers, found none within {_timeout_s():.0f} s"
             ) from None
         executor = client.get_executor(pure=False)
         try:
@@ -360,3 +358,11 @@ def _memory_each() -> int:
 
 
 _KEPT = _Kept(_memory_each())
+
+
+def _timeout_s() -> float:
+    """Return how long a cluster may have no workers: as it may take to connect to it."""
+    import dask
+    from dask.utils import parse_timedelta
+
+    return float(parse_timedelta(dask.config.get("distributed.comm.timeouts.connect")))

@@ -30,7 +30,7 @@ _LAGS = "same for all coils: the declared lag; shorter than a period: delay"
 _DELAYS = "same for all coils: the declared delay; shorter than a period: lag"
 _LATE_S = 2e-3
 _LATEST_S, _LATEST_PERIODS = 0.1, 40.0
-"""Longest delay in s, and in periods of the highest frequency; the longer of both counts."""
+"""Longest delay or lag in s, and in periods of the highest frequency; the longer of both counts."""
 _APART = 2.0
 """Ratio of neighbouring start values of a delay."""
 _DAMPING, _MOST_DAMPING = 0.7, 3.0
@@ -56,8 +56,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "force = F + (F lagged by tail - F) lag / tail",
                 (Quantity("lag", "s", -extent.late_s),),
                 partial(_lag, coil=c),
-                (Quantity("tail", "s", 1e-4, 0.1, log=True),),
-                ((_LATE_S,),),
+                (Quantity("tail", "s", 1e-4, latest_s(places, extent), log=True),),
+                late_starts(places, extent),
                 absorbed_by=places.worded(_LAGS),
                 told_apart_by=places.worded(_ONE_BY_ONE),
                 equal_numbers=("lag", "tail"),
@@ -85,14 +85,14 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def latest_s(places: Places, extent: Extent) -> float:
-    """Return the longest delay in s that is looked for, longer in records of slow plants."""
+    """Return the longest delay or lag in s that is looked for, longer in records of slow plants."""
     if places.beam or not math.isfinite(extent.fastest_hz):
         return _LATEST_S
     return max(_LATEST_S, _LATEST_PERIODS / extent.fastest_hz)
 
 
 def late_starts(places: Places, extent: Extent) -> tuple[tuple[float, ...], ...]:
-    """Return start values of a delay, farther apart the longer they are."""
+    """Return start values of a delay or lag, farther apart the longer they are."""
     if places.beam:
         return ((_LATE_S,),)
     last = latest_s(places, extent)

@@ -30,7 +30,7 @@ _HIGHER_HZ = (45.0, 110.0, 280.0)
 _HIGHER = ("wave_x", "wave_y", "egg_box")
 """Patterns that are rarely the first bending mode of a plate."""
 _LOOSE_HZ = (7.5, 15.0, 30.0, 60.0)
-_LOWEST_HZ = 5.0
+LOWEST_HZ = 5.0
 _DAMPING = 0.08
 """Damping ratio to start from, so large that neighbouring grid frequencies overlap."""
 
@@ -53,7 +53,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "w = 2 pi frequency, zeta = damping",
                 (Quantity("m", f"{places.force_unit(i)} s^2/{places.dof_units[i]}", 0.0),),
                 partial(_loose_mass, dof=i),
-                _resonance(_LOWEST_HZ if places.beam else extent.slowest_hz),
+                _resonance(LOWEST_HZ if places.beam else extent.slowest_hz),
                 (
                     *((f, _DAMPING) for f in _loose_hz(places, extent)),
                     *((f, zeta) for of, f, zeta in extent.dof_resonances if of == i),
@@ -121,7 +121,7 @@ def _loose_hz(places: Places, extent: Extent) -> tuple[float, ...]:
     return _LOOSE_HZ if places.beam else extent.resonance_starts_hz() or _LOOSE_HZ
 
 
-def _resonance(lowest_hz: float = _LOWEST_HZ) -> tuple[Quantity, Quantity]:
+def _resonance(lowest_hz: float = LOWEST_HZ) -> tuple[Quantity, Quantity]:
     return (
         Quantity("frequency", "Hz", lowest_hz, 1000.0, log=True),
         Quantity("damping", "1", 1e-3, 0.7, log=True),

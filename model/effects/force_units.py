@@ -5,6 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+_OF_INERTIA = {("kg", "m"): "N", ("kg m^2", "rad"): "N m", ("kg", "mm"): "mN", ("kg", "um"): "uN"}
+"""Unit of a force by those of an inertia and of its motion."""
 _NAME = re.compile(r"-?\s*([A-Za-z_]\w*)")
 
 
@@ -12,18 +16,25 @@ def force_units(
     B: Sequence[Sequence[float | str]] | None,
     input_units: Sequence[str],
     parameter_units: Mapping[str, str],
-    rows: int,
+    M: Sequence[Sequence[float | str]],
+    dof_units: Sequence[str],
 ) -> tuple[str, ...]:
-    """Return the unit of the force in each of `rows` equations, B times an input.
+    """Return the unit of the force in each equation.
 
-    The first input of an equation decides. An entry of B that is a number leaves the input's unit,
-    one that is a parameter multiplies it: N/V times V is N. Another entry tells nothing: the unit
-    is 1. Without B, each input acts on its own equation.
+    A mass in kg of a DOF in m has a force in N, an inertia in kg m^2 of one in rad a torque in N m.
+    Else it is B times an input, and the first input of an equation decides. An entry of B that is 1
+    or -1 leaves the input's unit, one that is a parameter multiplies it: N/V times V is N. Another
+    entry tells nothing: the unit is 1. Without B, each input acts on its own equation.
     """
+    rows = len(dof_units)
     if B is None:
-        units = [*input_units, *["1"] * rows]
-        return tuple(units[:rows])
-    return tuple(_unit_of(row, input_units, parameter_units) for row in B)
+        B = np.eye(rows, len(input_units)).tolist()
+    units = [_unit_of(row, input_units, parameter_units) for row in B]
+    by_mass = [
+        _OF_INERTIA.get((parameter_units.get(str(M[i][i]).strip(), ""), unit))
+        for i, unit in enumerate(dof_units)
+    ]
+    return tuple(own or other for own, other in zip(by_mass, units, strict=True))
 
 
 def unit_power(unit: str, power: int) -> str:
@@ -49,8 +60,9 @@ def _unit_of(
         text = str(entry).strip()
         if _number(text) == 0.0:
             continue
-        if _number(text) is not None:
-            return unit
+        number = _number(text)
+        if number is not None:
+            return unit if abs(number) == 1.0 else "1"
         found = _NAME.fullmatch(text)
         if found is None or found[1] not in parameter_units:
             return "1"

@@ -23,8 +23,7 @@ _NEAR = 0.005
 
 def tone(places: Places, f_hz: float) -> list[Effect]:
     """Return lines at f_hz: force on every DOF, ground vibration, pick-up of one or all sensors."""
-    frequency = (Quantity("frequency", "Hz", (1 - _NEAR) * f_hz, (1 + _NEAR) * f_hz),)
-    grid, label = ((f_hz,),), f"{f_hz:.4g} Hz"
+    frequency, grid, label = _frequency(f_hz), ((f_hz,),), f"{f_hz:.4g} Hz"
     found = [
         Effect(
             f"vibration.force.{f_hz:.6g}hz",
@@ -58,24 +57,42 @@ def tone(places: Places, f_hz: float) -> list[Effect]:
                 told_apart_by="still records at several beam positions",
             )
         )
-    alone = [((f"sensor:{s}",), s) for s in range(places.sensors)]
-    together = [(tuple(f"sensor:{s}" for s in range(places.sensors)), None)]
-    found += [
-        Effect(
-            f"vibration.reading.{f_hz:.6g}hz",
-            f"Pick-up of {label}" + (", same for all sensors" if s is None else ""),
-            "vibration",
-            where,
-            "reading = h + a cos(2 pi frequency t) + b sin(2 pi frequency t)",
-            _both(places.sensor_unit),
-            partial(_reading, sensor=s),
-            frequency,
-            grid,
-            told_apart_by="still records",
-        )
-        for where, s in alone + (together if places.sensors > 1 else [])
-    ]
+    if not places.beam and places.sensors == len(places.dof):
+        # Each sensor reads one DOF, and users know it by this name.
+        return found + [
+            _picked_up(places, label, f_hz, (dof,), s) for s, dof in enumerate(places.dof)
+        ]
+    every = tuple(f"sensor:{s}" for s in range(places.sensors))
+    found += [_picked_up(places, label, f_hz, (one,), s) for s, one in enumerate(every)]
+    if len(every) > 1:
+        found.append(_picked_up(places, label, f_hz, every, None))
     return found
+
+
+def _picked_up(
+    places: Places, label: str, f_hz: float, where: tuple[str, ...], sensor: int | None
+) -> Effect:
+    """Return a line in the readings of one sensor, or the same in all.
+
+    Where a sensor is named by the DOF that it reads, it has a class of its own: a force on this DOF
+    is another cause.
+    """
+    return Effect(
+        f"vibration.reading.{f_hz:.6g}hz",
+        f"Pick-up of {label}" + (", same for all sensors" if sensor is None else ""),
+        "sensor_pickup" if where[0] in places.dof else "vibration",
+        where,
+        "reading = h + a cos(2 pi frequency t) + b sin(2 pi frequency t)",
+        _both(places.sensor_unit if places.beam else places.dof_units[sensor or 0]),
+        partial(_reading, sensor=sensor),
+        _frequency(f_hz),
+        ((f_hz,),),
+        told_apart_by="still records",
+    )
+
+
+def _frequency(f_hz: float) -> tuple[Quantity]:
+    return (Quantity("frequency", "Hz", (1 - _NEAR) * f_hz, (1 + _NEAR) * f_hz),)
 
 
 def _both(unit: str) -> tuple[Quantity, Quantity]:

@@ -26,10 +26,10 @@ def test_each_number_is_halved_and_doubled_by_itself() -> None:
     assert seen == {f"{name} {how}" for name in names for how in ("half", "double")}
 
 
-def test_ratios_change_in_what_they_exceed_one_by() -> None:
+def test_what_follows_from_a_number_changes_with_it() -> None:
     found = {v.name: v.options for v in variants(SearchOptions())}
-    assert abs(found["much_left half"].much_left - 1.15) < 1e-9
-    assert abs(found["much_left double"].much_left - 1.6) < 1e-9
+    assert abs(found["least_gain half"].much_left - 1.15) < 1e-9
+    assert abs(found["least_gain double"].much_left - 1.6) < 1e-9
     assert found["most_effects half"].most_effects == 3
 
 

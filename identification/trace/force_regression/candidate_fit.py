@@ -21,12 +21,11 @@ from .training_records import Evaluated, Training
 
 Array = NDArray[np.float64]
 
-_EVALUATIONS = 25
-_LINE_STEPS = 10
-"""Evaluations along one number of a shape: they narrow a valley to a hundredth of its width."""
-_DIFFERENCE = 1e-3
+_NARROW = SearchOptions.accuracy
+"""Width to which a valley is narrowed along one number of a shape, over its first one."""
+_DIFFERENCE = SearchOptions.accuracy**2
 _INSIDE = DIFFERENCE
-_SHARE, _SHARE_LOG = 0.25, 1.0
+_SHARE, _SHARE_LOG = 1.0 / SearchOptions.resolved, 1.0
 """First steps of a fit: of the distance of the bounds, and of a logarithm."""
 _FELL = SearchOptions.accuracy**2
 
@@ -161,7 +160,7 @@ def fitted_candidate(
             bounds=(1.0, 2.0),
             x_scale=[_SHARE_LOG / _reach(q) if q.log else _SHARE for q in effect.shape],
             diff_step=np.full(len(x), _DIFFERENCE),
-            max_nfev=_EVALUATIONS,
+            max_nfev=SearchOptions.steps,
             ftol=_FELL,
         )
         x = found.x
@@ -184,7 +183,7 @@ def _along(residual: Callable[[Array], Array], x: Array, i: int, low: float, hig
         return float(rest @ rest)
 
     found = minimize_scalar(
-        left, bounds=(low, high), method="bounded", options={"maxiter": _LINE_STEPS}
+        left, bounds=(low, high), method="bounded", options={"xatol": _NARROW * (high - low)}
     )
     if not found.fun < left(float(x[i])):
         return x
@@ -232,10 +231,12 @@ def _amplitudes(
 def _coordinates(quantities: Sequence[Quantity], shape: Sequence[float]) -> Array:
     """Return shape parameters, or their logarithms, from 1 at the lower bound to 2 at the upper.
 
-    Differences are in proportion to a coordinate, so none may be zero.
+    Differences are in proportion to a coordinate, so none may be zero. Start values may be beyond
+    the bounds, as the period of a spectrum's line; the fit begins at the bound then.
     """
     pairs = zip(quantities, shape, strict=True)
-    return np.array([1.0 + (_plain(q, v) - _plain(q, q.low)) / _reach(q) for q, v in pairs])
+    found = [1.0 + (_plain(q, v) - _plain(q, q.low)) / _reach(q) for q, v in pairs]
+    return np.clip(found, 1.0, 2.0)
 
 
 def _shape(quantities: Sequence[Quantity], x: Array) -> Shape:

@@ -25,6 +25,7 @@ from ...greybox.experiment.intersample_input import Hold
 from ...greybox.force_balance.band_limited_signals import BandLimited, quiet_velocity_limit
 from ...greybox.free_parameters import FreeParameters
 from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
 from .rests import moving_rows
 
 Array = NDArray[np.float64]
@@ -33,11 +34,11 @@ GROUPS = ("inputs", "inertia", "all else")
 """Forces that a model consists of, as each may set the scale of its equations."""
 _MATRICES = {"K": "q", "D": "qd", "M": "qdd"}
 """Matrices of the linear part, and what each multiplies."""
-_OVERSAMPLED = 4.0
+_OVERSAMPLED = float(SearchOptions.resolved)
 """Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
 _INERTIA = {"inertia", "linear_inertia"}
 """Classes of the effects whose force is in proportion to accelerations."""
-_RECENT = 40
+_RECENT = 2 * SearchOptions.steps
 """Signals that are kept for the next call: of a model with some effects, each at its shape, at the
 shapes of its differences, and with other delays."""
 Key = TypeVar("Key")

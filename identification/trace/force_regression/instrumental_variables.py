@@ -28,7 +28,7 @@ from .force_record import ForceModel, ForceRecord
 from .free_numbers import moved_by, numbers, way
 from .intervals import Influences
 from .residual_whitening import SEGMENTS
-from .training_records import HALVINGS, STEPS, Training, missing_share
+from .training_records import HALVINGS, Training, missing_share
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -165,7 +165,7 @@ def fit_with_instruments(
     None if more of it is left there than by chance in one of them.
     """
     begin = point
-    for _ in range(STEPS):
+    for _ in range(SearchOptions.steps):
         step, part = training.step(point, way(begin, point), instruments)
         left = float(part @ part)
         chance = training.at(point).squares / training.independent

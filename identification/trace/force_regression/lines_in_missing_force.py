@@ -10,15 +10,16 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import zoom_fft
 
 from ..records.spectral_lines import MOST_LINES, lines_of, tonal
+from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
 
 Array = NDArray[np.float64]
 
-_FINE = 8.0
+_FINE = 2.0 * SearchOptions.resolved
 """Steps of a frequency over the inverse of the time of all records."""
-_MOST_STEPS = 4000
 _COHERENT = 0.5
 """Share of the power of a line in each record that one phase must explain in all of them."""
 
@@ -56,12 +57,18 @@ def _joint(
     """Return the frequency near a line's that explains most with one phase in all records; None if
     it explains little of what a phase for each record does."""
     span_s = max(float(t[-1]) for t in times) - min(float(t[0]) for t in times)
-    steps = min(int(2.0 * step_hz * _FINE * span_s) + 1, _MOST_STEPS)
+    steps = int(2.0 * step_hz * _FINE * span_s) + 1
     tried = f_hz + np.linspace(-step_hz, step_hz, steps)
-    pairs = zip(times, parts, strict=True)
-    sums = [np.exp(-2j * np.pi * np.outer(tried, t)) @ part for t, part in pairs]
+    sums = [_spectrum(part, t, tried) for t, part in zip(times, parts, strict=True)]
     rows = np.array([len(t) for t in times])
     whole = np.sum(np.abs(np.sum(sums, axis=0)) ** 2, axis=1) / rows.sum()
     each = sum(np.sum(np.abs(s) ** 2, axis=1).max() / n for s, n in zip(sums, rows, strict=True))
     best = int(np.argmax(whole))
     return float(tried[best]) if whole[best] > _COHERENT * each else None
+
+
+def _spectrum(values: Array, time_s: Array, freq_hz: Array) -> NDArray[np.complex128]:
+    """Return the Fourier sums (F, n) of values (rows, n), at even times and frequencies in Hz."""
+    rate_hz, ends = 1.0 / (time_s[1] - time_s[0]), freq_hz[[0, -1]]
+    found = zoom_fft(values, ends, len(freq_hz), fs=rate_hz, endpoint=True, axis=0)
+    return np.asarray(np.exp(-2j * np.pi * freq_hz * time_s[0])[:, None] * found)

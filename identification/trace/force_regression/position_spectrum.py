@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 _APART = 0.5
 """Cycles over the travel between neighbouring periods: of a line, half of its width."""
-_MOST_CYCLES = 1000.0
-_ROWS_PER_CYCLE = 4.0
+_MOST_CYCLES = SearchOptions.at_a_time * SearchOptions.resolved
+_ROWS_PER_CYCLE = SearchOptions.resolved
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _power(
     """Return the squared force that a line takes where it is slower than the limit, beside what is
     in proportion to `size` (rows,), of which it is a share."""
     slow = np.abs(qd) < limit_hz * period
-    if np.count_nonzero(slow) < _ROWS_PER_CYCLE * 2.0:
+    if np.count_nonzero(slow) < 2 * _ROWS_PER_CYCLE:
         return 0.0
     turn = np.exp(2j * np.pi / period * q[slow]) * size[slow]
     line = np.stack([turn.real, turn.imag], axis=1)

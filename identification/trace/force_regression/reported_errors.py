@@ -21,12 +21,13 @@ from ..records.record_from_log import TraceRecord
 from ..records.sensor_and_amplifier_noise import Disturbance
 from ..records.sensor_white_noise import white_noise
 from ..residual.free_run_with_effects import free_run
+from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
 
 Array = NDArray[np.float64]
 Metric = Literal["free_run", "force"]
 
-_DIVERGED = 100.0
+_DIVERGED = 1.0 / SearchOptions.accuracy
 """Error over the output's standard deviation above which a simulation has diverged."""
 
 

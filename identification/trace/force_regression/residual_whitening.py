@@ -17,12 +17,13 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.signal import welch
 
 from ...rounding import ROUNDING
+from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
 
-SEGMENTS = 4
+SEGMENTS = SearchOptions.resolved
 """Lengths of a segment in the shortest record; segments overlap by half."""
-_LEAST_ROWS = 16
+_LEAST_ROWS = SEGMENTS**2
 
 
 @dataclass(frozen=True)

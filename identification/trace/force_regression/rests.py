@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from ...rounding import ROUNDED_SD
 from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
@@ -24,7 +25,9 @@ def moving_rows(
     rest. Dry friction holds a DOF with any force while it rests, also for a moment at a reversal. A
     DOF that moves in no row is taken to move in all.
     """
-    noise = sd * 2.0 * np.pi * np.sqrt(2.0 * Ts_s * speed_hz**3 / 3.0)
+    # The frequencies of a flat spectrum are spread evenly from -speed_hz to speed_hz.
+    rms_hz = 2.0 * speed_hz * ROUNDED_SD
+    noise = sd * 2.0 * np.pi * rms_hz * np.sqrt(2.0 * Ts_s * speed_hz)
     memory = max(round(memory_s / Ts_s), 1)
     found = np.ones(speed.shape, bool)
     surely = SearchOptions.chance(len(speed))
@@ -44,7 +47,7 @@ def _rests(speed: Array, limit: float, memory: int) -> NDArray[np.bool_]:
     """
     slow = np.concatenate([[False], speed <= limit, [False]])
     edges = np.flatnonzero(slow[1:] != slow[:-1]).reshape(-1, 2)
-    aside = max(memory // 4, 1)
+    aside = max(memory // SearchOptions.resolved, 1)
     before = speed[np.maximum(edges[:, 0] - aside, 0)] - limit
     after = speed[np.minimum(edges[:, 1] - 1 + aside, len(speed) - 1)] - limit
     rate = np.maximum(before + after, 0.0) / (2.0 * aside)

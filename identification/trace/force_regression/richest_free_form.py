@@ -16,14 +16,15 @@ from .force_record import ForceModel, ForceRecord
 
 Array = NDArray[np.float64]
 
-_DEGREE = 5
-_TURNS = (0.02, 0.15)
+_DEGREE = SearchOptions.resolved + 1
+"""Of polynomials: with as many turns as are resolved."""
+_TURNS = (2.0 * SearchOptions.accuracy, 2.0 * SearchOptions.least_gain)
 """Speeds at which a friction turns, over the RMS speed."""
-_ALONG = 3
+_ALONG = SearchOptions.resolved // 2 + 1
 """Degree in the position of friction that changes along the way."""
 _WIDE = SearchOptions.standard_errors
 """Range of a polynomial in standard deviations; outside it is constant."""
-_ROWS_PER_NUMBER = 5.0
+_ROWS_PER_NUMBER = float(SearchOptions.resolved)
 """Independent rows for each number of the free form, at least."""
 
 

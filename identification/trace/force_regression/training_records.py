@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil, log2
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +21,15 @@ from .residual_whitening import Whitening
 
 Array = NDArray[np.float64]
 
-_DAMPING = 1e-3
+_DAMPING = SearchOptions.accuracy**2
 """Weight of the way from a fit's begin, relative to the columns: what these do not tell apart stays
 where it was."""
-STEPS, HALVINGS = 20, 6
+HALVINGS = ceil(-log2(SearchOptions.accuracy))
+"""Halvings of a step, until it is an error of an equation."""
 _HOPELESS = SearchOptions.least_gain
-_CONVERGED = 1e-6
+_CONVERGED = DIFFERENCE
 """Share of the squared residual that a step must take for another one."""
-_DELAYS = (-2.0, -1.0, 1.0, 2.0, 4.0)
+_DELAYS = (-2, -1, 1, 2, SearchOptions.resolved)
 """Delays in rows, beside the model's own, from which a first fit starts."""
 
 
@@ -231,7 +233,7 @@ class Training:
         if not point.parameters.names and not point.placed:
             return point
         squares, begin = self.cost(point), point
-        for _ in range(STEPS):
+        for _ in range(SearchOptions.steps):
             step, _ = self.step(point, way(begin, point))
             for halving in range(HALVINGS):
                 moved = moved_by(point, step * 0.5**halving)

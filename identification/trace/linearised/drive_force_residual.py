@@ -16,14 +16,14 @@ from ....model.effects.rotor import pushes
 from ...greybox.experiment.intersample_input import held_step, lagged_input
 from ...rounding import TINY
 from ..records.effect_signals import products
+from ..search_options import SearchOptions
 from .innovations_filter_bank import thinned
 from .linearisation_point import Along
 
 Array = NDArray[np.float64]
 
-_OUTLIER = 4.0
-"""Outlier limit in standard deviations: at a jerk of the profile the force is unknown."""
-_SLOW_HZ = 15.0
+_SLOW = 0.5 / SearchOptions.resolved
+"""Share of the band whose power tells how many values are independent."""
 
 
 def drive_errors(here: Along) -> Array | None:
@@ -48,7 +48,8 @@ def calm(drive: Array) -> NDArray[np.bool_]:
 
     There the acceleration between samples is unknown.
     """
-    return np.asarray(np.abs(drive) <= _OUTLIER * float(np.std(drive)))
+    most = SearchOptions.chance(len(drive))
+    return np.asarray(np.abs(drive) <= most * float(np.std(drive)))
 
 
 def drive_channel(here: Along, columns: Array) -> Array | None:
@@ -68,8 +69,9 @@ def drive_channel(here: Along, columns: Array) -> Array | None:
         return None
     # The residual is coloured: its low frequencies determine the number of independent values.
     every_s = here.every * here.record.experiment.Ts_s
-    freq_hz, power = welch(np.where(quiet, rest, 0.0), 1 / every_s, nperseg=min(512, len(rest)))
-    slow = power[(freq_hz > 0) & (freq_hz < _SLOW_HZ)]
+    segment = min(round(SearchOptions.block_s / every_s), len(rest))
+    freq_hz, power = welch(np.where(quiet, rest, 0.0), 1 / every_s, nperseg=segment)
+    slow = power[(freq_hz > 0) & (freq_hz < _SLOW * freq_hz[-1])]
     sd *= float(np.sqrt(max(slow.mean() / power[1:].mean(), 1.0)))
     return np.asarray(columns * quiet[:, None] / sd)
 

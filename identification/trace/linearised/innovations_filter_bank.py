@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numba import njit
@@ -25,16 +25,17 @@ from ...greybox.experiment.intersample_input import (
 )
 from ...greybox.prediction.discretisation import Motion
 from ...greybox.prediction.noise_model import Filter
+from ...rounding import TINY
 from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
 from .intersample_moments import around, force_moments, nonzero_columns, polynomial_weights
 
 Array = NDArray[np.float64]
 
-_BATCH = 16
+_BATCH = SearchOptions.at_a_time // SearchOptions.resolved**2
 """Columns filtered at once, limited by the processor's cache."""
-_TINY, _TINY_ROWS = 1e-150, 64
-"""Smaller states are set to zero every so many rows: processors are slow with denormal numbers. The
-constants are in this file because the compiler's cache depends on a function's own file only."""
+_TINY_ROWS = SearchOptions.at_a_time
+"""Rows after which states below TINY are set to zero: processors are slow with denormal numbers."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ class FilterBank:
         columns, rows, size = forcing.shape
         x = np.zeros((size, columns)) if start is None else np.array(start, float)
         out = np.zeros((rows // self.every, size // 2, columns))
-        filter_columns(
+        _compiled_for(size)(
             self.Phi, self.correction, self.whitener, np.ascontiguousarray(forcing),
             np.zeros((0, rows, size // 2)) if seen is None else np.ascontiguousarray(seen),
             x, self.blind, self.every, out,
@@ -274,65 +275,62 @@ def _nonzero(values: Array | None) -> Array | None:
     return values if values is not None and values.any() else None
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def filter_columns(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one pass over the rows
-    Phi, correction, whitener, forcing, seen, x, blind, every, out
-):
-    """Add to out (N // every, n, c) the errors of x(k+1) = Phi x + correction e + forcing.
+@cache
+def _compiled_for(size: int):  # type: ignore[no-untyped-def]
+    """Return the filter of models with a state of `size` numbers.
 
-    e = seen - C x, whitened, summed over `every` rows and divided by its root; zero before row
-    `blind`. Inputs are stored column by column, outputs side by side.
+    As the size is a constant, the compiler keeps sums in registers, which takes half of the time.
     """
-    columns, rows, size = forcing.shape
     n = size // 2
-    following, e = np.empty((size, columns)), np.zeros((n, columns))
-    reads, fixed, root = len(seen) > 0, len(Phi) == 1, 1.0 / np.sqrt(every)
-    for k in range(rows // every * every):
-        at = 0 if fixed else k
-        gain = at if len(correction) > 1 else 0
-        white = at if len(whitener) > 1 else 0
-        for c in range(columns):
-            for i in range(size):
-                following[i, c] = forcing[c, k, i]
-        for i in range(n):
-            for c in range(columns):
-                e[i, c] = -x[i, c]
-        if reads:
-            for c in range(columns):
-                for i in range(n):
-                    e[i, c] += seen[c, k, i]
-        if n == 3:  # as below, but with sums in registers: half the time
-            for i in range(6):
-                p0, p1, p2 = Phi[at, i, 0], Phi[at, i, 1], Phi[at, i, 2]
-                p3, p4, p5 = Phi[at, i, 3], Phi[at, i, 4], Phi[at, i, 5]
-                g0, g1, g2 = correction[gain, i, 0], correction[gain, i, 1], correction[gain, i, 2]
-                for c in range(columns):
-                    following[i, c] += (
-                        p0 * x[0, c] + p1 * x[1, c] + p2 * x[2, c]
-                        + p3 * x[3, c] + p4 * x[4, c] + p5 * x[5, c]
-                        + g0 * e[0, c] + g1 * e[1, c] + g2 * e[2, c]
-                    )  # fmt: skip
-        else:
-            for i in range(size):
-                for j in range(size):
-                    factor = Phi[at, i, j]
-                    for c in range(columns):
-                        following[i, c] += factor * x[j, c]
-                for j in range(n):
-                    factor = correction[gain, i, j]
-                    for c in range(columns):
-                        following[i, c] += factor * e[j, c]
-        if k >= blind:
+
+    @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+    def filter_columns(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one pass over the rows
+        Phi, correction, whitener, forcing, seen, x, blind, every, out
+    ):
+        """Add to out (N // every, n, c) the errors of x(k+1) = Phi x + correction e + forcing.
+
+        e = seen - C x, whitened, summed over `every` rows and divided by its root; zero before row
+        `blind`. Inputs are stored column by column, outputs side by side.
+        """
+        columns, rows, _ = forcing.shape
+        following, e = np.empty((size, columns)), np.zeros((n, columns))
+        reads, fixed, root = len(seen) > 0, len(Phi) == 1, 1.0 / np.sqrt(every)
+        for k in range(rows // every * every):
+            at = 0 if fixed else k
+            gain = at if len(correction) > 1 else 0
+            white = at if len(whitener) > 1 else 0
             for i in range(n):
-                for j in range(n):
-                    factor = whitener[white, i, j] * root
-                    for c in range(columns):
-                        out[k // every, i, c] += factor * e[j, c]
-        for i in range(size):
+                for c in range(columns):
+                    e[i, c] = -x[i, c]
+            if reads:
+                for c in range(columns):
+                    for i in range(n):
+                        e[i, c] += seen[c, k, i]
             for c in range(columns):
-                x[i, c] = following[i, c]
-        if k % _TINY_ROWS == 0:
+                for i in range(size):
+                    following[i, c] = forcing[c, k, i]
             for i in range(size):
                 for c in range(columns):
-                    if abs(x[i, c]) < _TINY:
-                        x[i, c] = 0.0
+                    total = following[i, c]
+                    for j in range(size):
+                        total += Phi[at, i, j] * x[j, c]
+                    for j in range(n):
+                        total += correction[gain, i, j] * e[j, c]
+                    following[i, c] = total
+            if k >= blind:
+                for i in range(n):
+                    for c in range(columns):
+                        total = 0.0
+                        for j in range(n):
+                            total += whitener[white, i, j] * e[j, c]
+                        out[k // every, i, c] += root * total
+            for i in range(size):
+                for c in range(columns):
+                    x[i, c] = following[i, c]
+            if k % _TINY_ROWS == 0:
+                for i in range(size):
+                    for c in range(columns):
+                        if abs(x[i, c]) < TINY:
+                            x[i, c] = 0.0
+
+    return filter_columns

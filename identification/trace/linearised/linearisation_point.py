@@ -28,13 +28,13 @@ from .intersample_moments import force_moments, nonzero_columns
 
 Array = NDArray[np.float64]
 
-_TO_HZ = 250.0
+_TO_HZ = SearchOptions.at_a_time * SearchOptions.resolved / SearchOptions.block_s
 """Errors are decimated to this rate; the platform's response is below half of it."""
-MOST_TRUST = 1e3
-_NOISE_REACH = 21.0
-_MOST_FILTERS = 8
-_MOST_PASSES, _SETTLED = 4, SearchOptions.accuracy
-"""Passes over a record at most; they end where the motion changes by this share of the noise, or by
+MOST_TRUST = 1.0 / (SearchOptions.accuracy * SearchOptions.least_gain)
+_NOISE_REACH = float(SearchOptions.standard_errors * np.log(MOST_TRUST))
+_MOST_FILTERS = 2 * SearchOptions.resolved
+_SETTLED = SearchOptions.accuracy
+"""Passes over a record end where the motion changes by this share of the noise, or by
 more than half as much as before. Of a scale error of 8 %, each leaves 8 % of what was left."""
 
 
@@ -133,7 +133,7 @@ def filtered(point: WorkingPoint, record: TraceRecord, at: Motion) -> tuple[Sign
     normal = filter_of(point, record, at, point.trust)
     signals = measured_signals(record, at, record.experiment.y, closely, point.lag_s)
     noise_sd, change = np.sqrt(point.disturbance.noise.output_variance), np.inf
-    for _ in range(_MOST_PASSES if point.placed else 0):
+    for _ in range(SearchOptions.steps if point.placed else 0):
         added, before = together(point.placed, signals), signals.q
         corrected, driven = corrected_experiment(point, record, at, added)
         signals = measured_signals(record, driven, corrected.y, normal, point.lag_s)
@@ -189,7 +189,7 @@ def with_likely_noise(point: WorkingPoint, records: Sequence[TraceRecord]) -> Wo
         except IdentificationError:
             return np.inf
 
-    levels = np.linspace(-_NOISE_REACH, _NOISE_REACH, 15)
+    levels = np.linspace(-_NOISE_REACH, _NOISE_REACH, SearchOptions.steps)
     best = levels[np.argmin([cost(level) for level in levels])]
     step = levels[1] - levels[0]
     found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")

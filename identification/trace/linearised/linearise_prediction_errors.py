@@ -20,6 +20,7 @@ from ....model.declared_model import DeclaredModel
 from ....model.effects.base import Effect, Placed, Signals, Term, total
 from ...rounding import DIFFERENCE, ROUNDING, TINY
 from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
 from .drive_force_residual import drive_channel, drive_errors
 from .gram_matrices import Linearised, ResidualChannel, block_edges, grams
 from .innovations_filter_bank import FilterBank, thinned
@@ -29,9 +30,9 @@ Array = NDArray[np.float64]
 
 Candidate = tuple[Effect, tuple[float, ...]]
 
-_MAX_NUMBERS = 50_000_000
-"""Numbers in the candidates' columns at one time, 0.4 GB: those of 100 s at 1 kHz."""
-_ROWS = 256
+_MAX_NUMBERS = SearchOptions.at_a_time * SearchOptions.at_a_time**2
+"""Numbers in the candidates' columns at one time, 0.13 GB."""
+_ROWS = SearchOptions.at_a_time
 """Rows that are projected at once: those of some hundred columns fit into a processor's cache."""
 
 

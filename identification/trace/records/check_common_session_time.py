@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect, Placed, Places, Signals
 from ....model.effects.operating_range import Extent
 from ...records.record import IdentificationError
+from ..search_options import SearchOptions
 from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 
-_ROWS = 256
-_TS_S = 1e-3
+_ROWS = SearchOptions.at_a_time
+_TS_S = 1.0 / _ROWS
 _LATER = 1 / np.pi
 """Time shift of the probe, as a share of the session: it changes any time-dependent effect."""
 

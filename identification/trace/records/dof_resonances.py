@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from ..search_options import SearchOptions
 from .record_from_log import TraceRecord
-from .resonances import HIGHEST, Spectra, clearest
+from .resonances import Spectra, clearest
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_LOWEST_HZ, _HIGHEST_HZ = 2.0, 150.0
-_POWERS = (-2, -1, 0, 1, 2, 3)
+_LOWEST_HZ, _HIGHEST = 2.0, 0.5 / SearchOptions.resolved
+"""The highest one over the sampling rate: what a held force does is a smooth function below."""
+_POWERS = (-2, -1, 0, 1, 2)
 """Powers of i omega of the force over the acceleration: stiffness, damping, mass; and a delay."""
 
 
@@ -72,7 +73,7 @@ def _parts(record: TraceRecord) -> _Parts | None:
         return None
     window = np.hanning(length)[:, None]
     freq_hz = np.fft.rfftfreq(length, e.Ts_s)
-    use = (freq_hz >= _LOWEST_HZ) & (freq_hz <= min(_HIGHEST_HZ, HIGHEST / e.Ts_s))
+    use = (freq_hz >= _LOWEST_HZ) & (freq_hz <= _HIGHEST / e.Ts_s)
     omega = 2.0 * np.pi * freq_hz[use][:, None]
     pushed = np.roll(record.coil @ record.places.coil_shape, late, axis=0)
     force, acceleration = [], []

@@ -32,6 +32,8 @@ from ...records.from_log import (
 )
 from ...records.resampling import resample
 from ...rounding import ROUNDING
+from ..search_options import SearchOptions
+from .sensor_white_noise import white_noise
 from .stuck_sensors import stuck_rows
 
 Array = NDArray[np.float64]
@@ -56,8 +58,7 @@ IMPORTED = "imported"
 """Kind of a record from other data than the rig's."""
 SHORTEST_S = 1.0
 """Least duration of a record, or of a held-out part."""
-_FITTED = 0.6
-_LEAST_HELD = 0.2
+_HELD = SearchOptions.reported
 """Least held-out share of a kind's time; otherwise its longest record is cut too."""
 
 
@@ -213,7 +214,8 @@ def imported_places(model: ModelConfig) -> Places:
         model.B,
         [q.unit for q in model.inputs],
         {name: p.unit for name, p in model.parameters.items()},
-        len(model.dof),
+        model.M,
+        units,
     )
     return Places(
         tuple(q.name for q in model.dof),
@@ -241,25 +243,26 @@ def _input_motion(model: ModelConfig) -> Array:
 
 
 def split(records: Sequence[TraceRecord]) -> tuple[list[TraceRecord], list[TraceRecord]]:
-    """Return the training records and the held-out ones, about a third of every kind.
+    """Return the training records and the held-out ones, a quarter of every kind or more.
 
-    Of each kind, the second, fifth, ... record is held out. If the held-out time is less than a
-    fifth, the longest other record is cut, and its end is held out.
+    Of each kind, the second, sixth, ... record is held out. If the held-out time is less than a
+    quarter, the longest other record is cut, and its end is held out.
     """
     by_kind: dict[str, list[TraceRecord]] = {}
     for record in records:
         by_kind.setdefault(record.kind, []).append(record)
+    every = round(1.0 / _HELD)
     out: set[int] = set()
     cut: set[int] = set()
     for group in by_kind.values():
-        whole = [r for i, r in enumerate(group) if i % 3 == 1]
+        whole = [r for i, r in enumerate(group) if i % every == 1]
         out.update(id(r) for r in whole)
-        if _seconds(whole) < _LEAST_HELD * _seconds(group):
+        if _seconds(whole) < _HELD * _seconds(group):
             cut.add(id(max((r for r in group if id(r) not in out), key=_length)))
     train: list[TraceRecord] = []
     held: list[TraceRecord] = []
     for record in records:
-        at = round(_FITTED * record.rows)
+        at = round((1.0 - _HELD) * record.rows)
         if id(record) in out:
             held.append(record)
         elif id(record) in cut and (record.rows - at) * record.experiment.Ts_s >= SHORTEST_S:
@@ -307,8 +310,14 @@ def _kind(record: TraceRecord) -> str:
         parts.append("coils")
     elif np.any(np.abs(v) > _SILENT):
         parts.append("wrench")
-    if np.ptp(record.beam[:, 0]) > 1e-4:
+    if _moves(record.beam[:, 0]):
         parts.append("beam")
-    if np.ptp(record.rotor[:, 0]) > 1e-2:
+    if _moves(record.rotor[:, 0]):
         parts.append("rotor")
     return "+".join(parts) or "still"
+
+
+def _moves(position: Array) -> bool:
+    """Return whether a position (N,) varies by more than its white noise would."""
+    noise = float(white_noise(position[:, None] - position[0])[0])
+    return bool(np.ptp(position) > 2.0 * SearchOptions.chance(len(position)) * noise)

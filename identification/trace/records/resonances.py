@@ -15,25 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import fmin
 
-from ....model.effects.flexible import PATTERNS, patterns
+from ....model.effects.flexible import LOWEST_HZ, PATTERNS, patterns
 from ...rounding import DIFFERENCE, TINY
 from ..search_options import SearchOptions
 from .record_from_log import TraceRecord
 
 Array = NDArray[np.float64]
 
-_LOWEST_HZ, HIGHEST = 12.0, 0.4
-"""Frequency range: above the control loop's modes, up to a share of the sampling rate."""
-_STEP, _DAMPING = 0.015, 0.03
-"""Relative step of the frequency grid, and a damping at which neighbours overlap."""
-_SURE = 50.0
+HIGHEST = 0.5
+"""Highest frequency over the sampling rate."""
+_LOG_DAMPING = np.log([SearchOptions.accuracy * SearchOptions.least_gain, 0.5**0.5])
+"""From what is no broader than a line to what has no peak any more."""
+_DAMPING = float(np.exp(_LOG_DAMPING.mean()))
+_STEP = 0.5 * _DAMPING
+"""Relative step of the frequency grid: resonances of the damping above overlap then."""
+_SURE = SearchOptions().least_squares
 """Least explained power over that of noise. The largest of some thousand trials was 18 in records
 without a resonance."""
 _MOST = 2
 """Largest number of resonances of a pattern."""
-_BROAD = 0.3
+_BROAD = 0.5
 """Largest damping of a resonance; the grid of the candidates covers larger ones."""
-_LOG_DAMPING = np.log([1e-3, 0.7])
 
 
 class Resonance(NamedTuple):
@@ -106,7 +108,7 @@ def clearest(spectra: Spectra) -> tuple[float, float] | None:
     tried = np.exp(np.arange(np.log(first), np.log(last), _STEP))
     sure = [_explained(spectra, f_hz, _DAMPING)[1] for f_hz in tried]
     f_hz, zeta = _fitted(spectra, float(tried[np.argmax(sure)]))
-    resolved = zeta > 1.1 * float(np.exp(_LOG_DAMPING[0]))
+    resolved = zeta > (1.0 + SearchOptions.least_gain) * float(np.exp(_LOG_DAMPING[0]))
     narrow = resolved and zeta <= _BROAD and _explained(spectra, f_hz, zeta)[1] >= _SURE
     return (f_hz, zeta) if narrow else None
 
@@ -122,7 +124,7 @@ def _spectra(
     length = 2 ** round(np.log2(SearchOptions.block_s / Ts_s))
     window = np.hanning(length)[:, None]
     freq_hz = np.asarray(np.fft.rfftfreq(length, Ts_s), np.float64)
-    use = (freq_hz >= _LOWEST_HZ) & (freq_hz <= HIGHEST / Ts_s)
+    use = (freq_hz >= LOWEST_HZ) & (freq_hz <= HIGHEST / Ts_s)
     shape = (int(use.sum()), over_sensors.shape[1])
     yu, uu, yy, count = np.zeros(shape, complex), np.zeros(shape), np.zeros(shape), 0
     for r in records:

@@ -29,10 +29,11 @@ from .sensor_white_noise import white_noise
 
 Array = NDArray[np.float64]
 
-_LONGEST_S = 60.0
-_BAND_HZ = (0.4, 80.0)
-_WIDEST, _MOST_REACHES = 1e3, 4
-"""Search range of the force noise, as a factor on the fit's; extended from the end if needed."""
+_LONGEST_S = SearchOptions.blocks * SearchOptions.block_s
+_LOWEST_HZ, _HIGHEST = 2.0 / SearchOptions.block_s, 0.5 / SearchOptions.resolved
+"""Frequencies at which force noise shows: the highest one over the sampling rate."""
+_REACH = -SearchOptions.resolved * np.log(SearchOptions().inexact)
+"""Search range of the force noise, as a logarithm of the factor on the fit's."""
 _ALIKE = SearchOptions.standard_errors
 """Largest ratio of two outputs' noise, since all errors are divided by one noise."""
 
@@ -113,7 +114,7 @@ def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> 
     Ts_s = experiment.Ts_s
     segment = min(round(SearchOptions.block_s / Ts_s), len(experiment.y) // 2)
     freq_hz, seen = welch(experiment.y, 1 / Ts_s, nperseg=segment, axis=0)
-    band = (freq_hz >= _BAND_HZ[0]) & (freq_hz <= _BAND_HZ[1])
+    band = (freq_hz >= _LOWEST_HZ) & (freq_hz <= _HIGHEST / Ts_s)
     by_force, by_sensor = _responses(model, experiment, freq_hz[band])
     # A reading also contains the sensor's own noise.
     shown = by_sensor + np.eye(by_sensor.shape[1])
@@ -128,14 +129,9 @@ def _force_level(model: DeclaredModel, experiment: Experiment, noise: Noise) -> 
         expected = low * (np.exp(log_level) * force + sensor)
         return float(np.mean(np.abs(np.log(seen[band] / expected))))
 
-    reach, middle = np.log(_WIDEST), 0.0
-    for _ in range(_MOST_REACHES):
-        coarse = middle + np.linspace(-reach, reach, 57)
-        best = int(np.argmin([misfit(level) for level in coarse]))
-        start, step = float(coarse[best]), float(coarse[1] - coarse[0])
-        if 0 < best < len(coarse) - 1:
-            break
-        middle = start
+    coarse = np.linspace(-_REACH, _REACH, SearchOptions.at_a_time)
+    start = float(coarse[np.argmin([misfit(level) for level in coarse])])
+    step = float(coarse[1] - coarse[0])
     found = minimize_scalar(misfit, bounds=(start - step, start + step), method="bounded")
     return float(np.exp(found.x))
 

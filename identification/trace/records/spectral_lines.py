@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
+from scipy.signal import get_window
 
 from ...rounding import DIFFERENCE, ROUNDING, TINY
 from ..search_options import SearchOptions
@@ -22,23 +23,23 @@ from .record_from_log import TraceRecord
 Array = NDArray[np.float64]
 
 MOST_LINES = SearchOptions.most_effects
-_STANDS_OUT = 50.0
-"""Power of a line over the mean power around it: noise reaches that in one of 10^21 bins."""
-_AROUND = 61
+_STANDS_OUT = SearchOptions().least_squares
+"""Power of a line over the mean power around it: noise reaches that in one of 10^15 bins."""
+_AROUND = SearchOptions.at_a_time // SearchOptions.resolved + 1
 """Bins around a line, of which the median tells the mean power; some of them may be lines."""
-_NEAR = 8
+_NEAR = 2 * SearchOptions.resolved
 """Bins on either side of a line in which little may be left after the subtraction."""
-_LEFT = 0.1
+_LEFT = SearchOptions.least_gain
 """Share of the power near a line that may be left: a tenth; of a resonance most is."""
-_RESONANCE = 0.7
+_RESONANCE = 0.5**0.5
 """Share of the power near its highest bin that a resonance keeps: of two equal lines half stays."""
-_IMPERFECT = 1e-3
+_IMPERFECT = SearchOptions().inexact
 """Share of the power near a line that an imperfect sinusoid leaves: less is no other line."""
-_RESOLVED = 1.5
-"""Bins from which on two lines are told apart."""
+HANN_BINS = float(get_window("hann", _AROUND) @ get_window("hann", _AROUND) / _AROUND * 2.0**2)
+"""Bins of a Hann window for each independent one, from which on two lines are told apart: its mean
+is a half."""
 _LOWEST_HZ = 1.0
 _SETTLE_S = 1.0
-_STEPS = 6
 
 
 def spectral_lines(records: Sequence[TraceRecord]) -> tuple[float, ...]:
@@ -73,7 +74,7 @@ def lines_of(x: Array, Ts_s: float) -> list[tuple[float, float]]:
             away = np.abs(bins - f_hz / step_hz)
             near = away < _NEAR
             little = power < _IMPERFECT * at_first[near].max()
-            stands[(away < _RESOLVED) | (near & little)] = 0.0
+            stands[(away < HANN_BINS) | (near & little)] = 0.0
         k = int(np.argmax(stands))
         if stands[k] < _STANDS_OUT or not 0 < k < len(power) - 1:
             break
@@ -132,7 +133,7 @@ def _fitted(
     """Fit sinusoids together, frequencies too (Gauss-Newton); return these and the rest."""
     f = np.array(lines)
     rest = x
-    for _ in range(_STEPS):
+    for _ in range(SearchOptions.steps):
         angle = 2.0 * np.pi * np.outer(time_s, f)
         columns = np.hstack([np.cos(angle), np.sin(angle), np.ones((len(x), 1))])
         coefficients, *_ = np.linalg.lstsq(columns, x, rcond=None)

@@ -15,7 +15,7 @@ from .sensor_white_noise import white_noise
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROWS = tuple(2**k for k in range(4, 9))
+_ROWS = tuple(2**k for k in range(SearchOptions.resolved, 2 * SearchOptions.resolved + 1))
 _CHANCE = float(norm.sf(SearchOptions.standard_errors))
 _STILL = {rows: float(studentized_range.isf(_CHANCE, rows, np.inf)) for rows in _ROWS}
 """Range of a stuck reading over a number of rows, in noise standard deviations, exceeded as rarely
@@ -24,9 +24,9 @@ move."""
 _LONGEST = max(_STILL)
 _SAME = SearchOptions.standard_errors
 """Largest deviation at the ends of a stuck interval, in noise standard deviations."""
-_MOVES = 20.0
-"""Least range expected from the other sensors, in noise standard deviations."""
-_TURNING = 200
+_MOVES = SearchOptions.standard_errors
+"""Least range expected from the other sensors, over that of a stuck reading."""
+_TURNING = _LONGEST
 """Largest number of rows between two stuck intervals that are joined: the motion reverses."""
 
 
@@ -45,7 +45,7 @@ def stuck_rows(readings: Array, shape: Array) -> Mask | None:
     count = np.zeros((len(readings) + 1, S), int)
     own, others = _ranges(readings), _ranges(expected)
     for (rows, still), reads, moves in zip(_STILL.items(), own, others, strict=True):
-        found = (reads <= still * sd) & (moves >= _MOVES * sd)
+        found = (reads <= still * sd) & (moves >= _MOVES * still * sd)
         count[1 : 1 + len(found)] += found
         count[rows : rows + len(found)] -= found
     stands = np.cumsum(count[:-1], axis=0) > 0
@@ -106,7 +106,7 @@ def _confirm(stands: Mask, sensor: int, readings: Array, shape: Array, noise: fl
     for first, end in _runs(stands):
         expected = readings[first - 1 : end] @ ways
         drifts = np.ptp(readings[first:end, sensor]) > _STILL[_LONGEST] * noise
-        if drifts or np.ptp(expected, axis=0).min() < _MOVES * noise:
+        if drifts or np.ptp(expected, axis=0).min() < _MOVES * min(_STILL.values()) * noise:
             stands[first:end] = False
 
 

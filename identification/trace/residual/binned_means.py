@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..search_options import SearchOptions
+
 Array = NDArray[np.float64]
 
-_BINS = 24
-_RANGE = (0.5, 99.5)
-_FEWEST = 4
+_BINS = SearchOptions.blocks
+_OUTSIDE = 0.5 * SearchOptions.accuracy
+_FEWEST = SearchOptions.resolved
 """Least number of time blocks in a bin, for its error."""
 
 
@@ -57,7 +59,7 @@ def dependence(signal: Array, values: Array, block: NDArray[np.int64]) -> Depend
 
 def _edges(signal: Array) -> Array:
     """Return the edges (K + 1,) of equally wide bins over 99 % of the signal."""
-    low, high = np.percentile(signal, _RANGE)
+    low, high = np.quantile(signal, (_OUTSIDE, 1.0 - _OUTSIDE))
     if not high > low:
         low, high = low - 0.5, low + 0.5
     return np.linspace(low, high, _BINS + 1)

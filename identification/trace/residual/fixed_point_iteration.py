@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..search_options import SearchOptions
+
 Array = NDArray[np.float64]
 
-_OSCILLATION_RATIO = 0.7
-_MIN_STEP = 0.1
-_LAST = 5
+_OSCILLATION_RATIO = 0.5**0.5
+_MIN_STEP = SearchOptions.least_gain
+_LAST = SearchOptions.resolved
 """Steps that tell at which rate an iteration converges."""
 
 

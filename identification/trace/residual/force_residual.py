@@ -11,9 +11,9 @@ from scipy.signal import welch
 from ....model.effects.base import Placed, Term
 from ...greybox.free_run.free_run_noise_floor import powers_of
 from ...greybox.prediction.discretisation import Motion, input_moments
-from ...rounding import TINY
+from ...rounding import ROUNDED_SD, TINY
 from ..linearised.drive_force_residual import beside_motion, calm, drive_errors
-from ..linearised.intersample_moments import force_moments
+from ..linearised.intersample_moments import POINTS, force_moments
 from ..linearised.linearisation_point import Along, WorkingPoint, along, corrected_experiment
 from ..records.effect_signals import rate
 from ..records.record_from_log import TraceRecord
@@ -21,16 +21,16 @@ from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
 
-_EDGE_ROWS = 3
+_EDGE_ROWS = POINTS // 2
 """Rows at both ends without a central difference of sixth order."""
 FADE_S = 0.5
 """Duration of the fade of Missing.force at both ends of a record."""
-_THIRD = 2.0 ** (1 / 3)
-_PASSED = 1.3
+_THIRD = float(np.cbrt(2.0))
+_PASSED = SearchOptions().much_left
 """Least ratio of a residual's density to the noise's that passes the filter."""
-WORST = 100.0
+WORST = SearchOptions.least_gain**-2
 """Largest ratio of the force-equivalent noise to its minimum; beyond, the force is unknown."""
-_LINE = 30.0
+_LINE = SearchOptions().least_squares
 """Ratio to noise above which a line always passes; averages of ten spectra do not reach it."""
 
 
@@ -157,7 +157,7 @@ def _residual_force(driven: Motion, y: Array) -> Array:
     Ts_s = driven.Ts_s
     qd = rate(y, Ts_s, _EDGE_ROWS)
     acceleration, velocity = (np.diff(x, axis=0) / Ts_s for x in (qd, y))
-    place = 0.5 * (y[1:] + y[:-1]) - Ts_s**2 / 12 * acceleration
+    place = 0.5 * (y[1:] + y[:-1]) - (ROUNDED_SD * Ts_s) ** 2 * acceleration
     rows = len(velocity)
     residual = acceleration + _times(driven.D, velocity) + _times(driven.K, place)
     residual -= _times(driven.B, driven.inputs[:rows, 0]) / Ts_s
@@ -170,7 +170,7 @@ def _residual_force(driven: Motion, y: Array) -> Array:
     around_mean = np.zeros_like(y)
     around_mean[known] = force[known] - force[known].mean(axis=0)
     # Without a fade, twice differentiated noise would give a pulse at either end.
-    ramp = min(max(round(FADE_S / Ts_s), 1), rows // 4)
+    ramp = min(max(round(FADE_S / Ts_s), 1), rows // SearchOptions.resolved)
     fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
     around_mean[known.start : known.start + ramp] *= fade[:, None]
     around_mean[known.stop - ramp : known.stop] *= fade[::-1, None]

@@ -40,9 +40,11 @@ from .fixed_point_iteration import AndersonMixing, DampedSteps, settles
 
 Array = NDArray[np.float64]
 
-_MAX_ITERATIONS = 60
+_MAX_ITERATIONS = SearchOptions.steps * SearchOptions.resolved
 _SETTLED = SearchOptions.accuracy
 """Rms change of the readings at convergence, over the sensors' noise or the simulation's error."""
+_LEAST = SearchOptions.least_gain * SearchOptions.accuracy
+"""Least step of a slope, over the spread of the motion."""
 _KEPT = _MAX_ITERATIONS
 """Steps that the next one is extrapolated from. A lightly damped mass on a spring takes as many."""
 
@@ -190,8 +192,12 @@ def _slopes(
     for name, slope in (("q", stiffness), ("qd", damping)):
         values: Array = getattr(signals, name)
         spread = values.std(axis=0)
-        last = 0.1 * spread if before is None else (values - getattr(before, name)).std(axis=0)
-        for i, difference in enumerate(np.maximum(last, 1e-3 * spread) + TINY):
+        last = (
+            SearchOptions.least_gain * spread
+            if before is None
+            else (values - getattr(before, name)).std(axis=0)
+        )
+        for i, difference in enumerate(np.maximum(last, _LEAST * spread) + TINY):
             lower, upper = (_force_at(point, signals, name, i, s * difference) for s in (-1.0, 1.0))
             slope[:, :, i] = (upper - lower) / (2 * difference)
     return Slopes(stiffness, damping, signals.q, signals.qd)

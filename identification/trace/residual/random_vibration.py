@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from ...rounding import TINY
 from ..linearised.linearisation_point import WorkingPoint
 from ..records.record_from_log import TraceRecord
+from ..records.spectral_lines import HANN_BINS
+from ..search_options import SearchOptions
 from .force_residual import (
     FADE_S,
     WORST,
@@ -32,15 +34,14 @@ Array = NDArray[np.float64]
 
 _LOUD = 2.0
 """Least ratio of density to noise in a band, averaged over a third of an octave."""
-_BEYOND_CHANCE = 10.0
+_BEYOND_CHANCE = 1.0 / SearchOptions.least_gain
+"""Least power in standard deviations of chance: what matters of it is told."""
 _ALIKE = 2.0
 """Largest ratio of its power in still and in excited records."""
 _LOWEST_HZ = 0.5
-_OUTSIDE = 0.05
-_ENDS = 1.2
+_OUTSIDE = 0.5 * SearchOptions.least_gain
+_ENDS = 1.0 + SearchOptions.least_gain
 """Rows left out at both ends of a record, over those of the fade."""
-_LEAKAGE = 1.5
-"""Bins of a Hann window per independent bin."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def force_spectrum(point: WorkingPoint, record: TraceRecord) -> ForceSpectrum:
     """Return the spectrum of a record's residual force at the working point."""
     lacking = missing(point, record)
     Ts_s = record.experiment.Ts_s
-    ends = min(round(_ENDS * FADE_S / Ts_s), record.rows // 4)
+    ends = min(round(_ENDS * FADE_S / Ts_s), record.rows // SearchOptions.resolved)
     whole = lacking.force[ends : record.rows - ends]
     freq_hz, psd = density(whole, Ts_s)
     averages = max(len(whole) * Ts_s * (freq_hz[1] - freq_hz[0]), 1.0)
@@ -161,7 +162,7 @@ def _band(dof: int, spectra: Sequence[ForceSpectrum]) -> NDArray[np.bool_] | Non
 def _statistic(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpectrum]) -> float:
     """Return the power above noise in a band, in standard deviations of chance."""
     ratio = _mean(dof, spectra, "psd")[band] / _mean(dof, spectra, "noise")[band]
-    count = sum(s.averages for s in spectra) * max(band.sum() / _LEAKAGE, 1.0)
+    count = sum(s.averages for s in spectra) * max(band.sum() / HANN_BINS, 1.0)
     return float((ratio.mean() - 1.0) * np.sqrt(count))
 
 
@@ -175,7 +176,7 @@ def _power_error(dof: int, band: NDArray[np.bool_], spectra: Sequence[ForceSpect
     """Return the standard error of `_power`, with independent bins and the noise included."""
     step_hz = float(spectra[0].freq_hz[1] - spectra[0].freq_hz[0])
     squares = float(np.sum(_mean(dof, spectra, "psd")[band] ** 2))
-    return step_hz * float(np.sqrt(_LEAKAGE * squares / sum(s.averages for s in spectra)))
+    return step_hz * float(np.sqrt(HANN_BINS * squares / sum(s.averages for s in spectra)))
 
 
 def _middle(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-_FIRST, MOST_DAMPING = 1e-2, 1e4
+from ..search_options import SearchOptions
+
+_FIRST, MOST_DAMPING = SearchOptions.accuracy, 1.0 / SearchOptions().inexact
 """Damping of the first shorter step, and beyond which a step is none, over the squares' slope."""
-_FACTOR = 10.0
+_FACTOR = float(SearchOptions.resolved)
 
 
 def less(damping: float) -> float:

@@ -202,5 +202,5 @@ def _believing(point: WorkingPoint, squares: float, evidence: ColumnEvidence) ->
     """Return the point with trajectories as close to the model as the errors allow."""
     count = float(evidence.count.sum())
     wanted = float(np.clip(MOST_TRUST * (squares / count - 1.0), 1.0, MOST_TRUST))
-    # In decades: filters are kept for each.
-    return replace(point, trust=float(10.0 ** np.ceil(np.log10(wanted))))
+    # In powers of four: filters are kept for each.
+    return replace(point, trust=float(np.exp2(2.0 * np.ceil(0.5 * np.log2(wanted)))))

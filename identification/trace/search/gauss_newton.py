@@ -12,26 +12,30 @@ from numpy.typing import NDArray
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Quantity
 from ...records.record import IdentificationError
-from ...rounding import ROUNDING
+from ...rounding import DIFFERENCE, ROUNDING
 from ..linearised.gram_matrices import Linearised
 from ..linearised.linearisation_point import WorkingPoint
 from ..search_options import SearchOptions
 from .damping import MOST_DAMPING, less, more
-from .regression import ColumnEvidence, covariance, solve
+from .regression import ColumnEvidence, solve
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 Candidate = tuple[Effect, tuple[float, ...]]
 
-_STEPS = 16
-_CONVERGED = 0.3
-_WORTH_A_STEP = 0.1
-"""Squared errors that a step must promise, and take."""
-ROUGHLY, NEARLY, FULLY = 1e-3, SearchOptions.accuracy**2, 1e-6
+_WORTH_A_STEP = SearchOptions.least_gain
+"""Squared errors that a step must promise, and take: a step of s standard errors takes s^2."""
+ROUGHLY, NEARLY, FULLY = (
+    _WORTH_A_STEP * SearchOptions.accuracy,
+    SearchOptions.accuracy**2,
+    DIFFERENCE,
+)
 """The same as a share of how far the squares are from those of noise: while others are missing, or
 the noise is assumed larger than it is, what is at its best now will not be then."""
-_CRAWLS = 0.1
+_CRAWLS = SearchOptions.least_gain
 """Of what a step must promise: two in a row that take less crawl along a valley that bends."""
+_LEASH = 1.0 / SearchOptions.resolved
+"""Part of its range by half of which a shape may step; if it is a logarithm, half of its size."""
 _SHORT = 1.0
 """Damping from which on a step is short."""
 
@@ -65,15 +69,13 @@ def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[W
     """
     train = gather(point, records.train(point))
     damping, crawls = 0.0, False
-    for _ in range(_STEPS):
-        step, free = _step(point, train, 0.0)
-        errors = np.sqrt(np.diag(covariance(train.whole, free))) / train.size[free]
-        small = float(np.max(np.abs(step[free]) / errors, initial=0.0))
+    for _ in range(SearchOptions.steps):
+        step = _step(point, train, 0.0)
         worth = max(_WORTH_A_STEP, within * abs(train.excess))
         promised = _promised(train, step)
-        if small < _CONVERGED or promised < worth:
+        if promised < worth:
             break
-        moved = stepped(point, _step(point, train, damping)[0] if damping else step)
+        moved = stepped(point, _step(point, train, damping) if damping else step)
         try:
             after = gather(moved, records.train(moved))
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
@@ -106,8 +108,8 @@ def gather(point: WorkingPoint, records: Sequence[Linearised]) -> ColumnEvidence
     return ColumnEvidence.gather(records, rows)
 
 
-def _step(point: WorkingPoint, train: ColumnEvidence, damping: float) -> tuple[Array, IntArray]:
-    """Return the least-squares step, and the indices of the parameters that it changes.
+def _step(point: WorkingPoint, train: ColumnEvidence, damping: float) -> Array:
+    """Return the least-squares step.
 
     What stands at its bound and would leave it stays there, and the others move as that asks; so
     does what does nothing, as the shape of an effect of no size.
@@ -122,7 +124,7 @@ def _step(point: WorkingPoint, train: ColumnEvidence, damping: float) -> tuple[A
         step[free] = solve(damped, free) / train.size[free]
         held = (step < 0.0) & (below <= 0.0) | (step > 0.0) & (above <= 0.0)
         if not held.any():
-            return step, free
+            return step
         free = free[~held[free]]
 
 
@@ -177,5 +179,5 @@ def stepped(point: WorkingPoint, step: Array) -> WorkingPoint:
 
 def leash(move: float, value: float, quantity: Quantity) -> float:
     """Limit a step of a shape parameter to the range in which terms are nearly linear."""
-    reach = abs(value) / 3 if quantity.log else 0.1 * (quantity.high - quantity.low)
+    reach = 0.5 * (abs(value) if quantity.log else _LEASH * (quantity.high - quantity.low))
     return float(np.clip(move, -reach, reach))

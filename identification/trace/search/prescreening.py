@@ -22,7 +22,7 @@ from .tested_candidate import is_internal
 
 Array = NDArray[np.float64]
 
-_PART = 1.0 / 3.0
+_PART = 1.0 / SearchOptions.resolved
 """Of the time of all records, as much is asked first at most."""
 _SHAPE = 0.5
 """Shapes that explain less than this share of what the best one of an effect does are left out."""
@@ -36,7 +36,7 @@ def shortlisted(
 ) -> list[Candidate]:
     """Return the candidates that explain most of some records, in their order.
 
-    All are returned if they are few, and those for which a third of the records has too few blocks.
+    All are returned if they are few, and those for which a part of the records has too few blocks.
     What acts on the drives only is among them: what these measure is no error of the platform, by
     which parts are chosen.
     """
@@ -72,7 +72,7 @@ def most_telling(train: ColumnEvidence, squares: Array, needed: float) -> list[P
     """Return the part of every record with most of some squared errors (k, blocks).
 
     Every record has part, as each tells of another pose. The parts are as short as hold `needed` of
-    each of the k together, and can be cross-validated. None are returned where a third of the time
+    each of the k together, and can be cross-validated. None are returned where a part of the time
     has too few blocks for that.
     """
     sums = np.maximum(np.abs(squares).sum(axis=1), TINY)
@@ -96,7 +96,7 @@ def most_telling(train: ColumnEvidence, squares: Array, needed: float) -> list[P
 def most_telling_records(train: ColumnEvidence, squares: Array) -> list[Part]:
     """Return the records with most squared errors (blocks,) for their length, as parts.
 
-    They are a third of the time; none if these have too few blocks to tell, or are all.
+    They are a quarter of the time; none if these have too few blocks to tell, or are all.
     """
     blocks = np.bincount(train.record)
     count = np.bincount(train.record, train.count)

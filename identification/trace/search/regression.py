@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from ...rounding import RIDGE, TINY
 from ..linearised.gram_matrices import Beside, Linearised
+from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
 Indices = Sequence[int] | NDArray[np.intp]
 
-FOLDS = 5
-_HELD = 30.0
+FOLDS = SearchOptions.resolved
+_HELD = 1.0 / SearchOptions.accuracy
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ def cross_validated(evidence: ColumnEvidence, columns: Indices) -> Array:
 
 
 def steadied(evidence: ColumnEvidence) -> ColumnEvidence:
-    """Regularise the columns to about thirty of their standard errors.
+    """Regularise the columns to about a hundred of their standard errors.
 
     The moment at which something came is told by one block alone; a fit without that block would
     put it anywhere, and every question about anything else would be answered by that.

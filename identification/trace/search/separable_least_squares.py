@@ -23,6 +23,7 @@ from ....model.effects.base import Effect, Placed, Signals, Term
 from ...records.record import IdentificationError
 from ..linearised.linearisation_point import WorkingPoint
 from ..linearised.linearise_prediction_errors import effect_terms
+from ..search_options import SearchOptions
 from .backward_elimination import columns_of, without_effect
 from .damping import MOST_DAMPING, less, more
 from .gauss_newton import ROUGHLY, Candidate, Fitted, gather, leash
@@ -38,7 +39,6 @@ from .tested_candidate import Tried
 
 Array = NDArray[np.float64]
 
-_STEPS = 10
 _WORTH = 1.0
 """Squared errors that a step must promise: noise of one number takes as much."""
 
@@ -55,7 +55,7 @@ def with_fitted_shapes(
     `instead_of`, each is in the place of this effect of the point.
     """
     fits = [_Fit(t) for t in tried]
-    for _ in range(_STEPS + 1):
+    for _ in range(SearchOptions.steps // 2 + 1):
         active = [fit for fit in fits if not fit.ended]
         if not active:
             break

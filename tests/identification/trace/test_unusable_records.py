@@ -53,9 +53,9 @@ def traced(paths: Sequence[Path]) -> Trace:
 
 
 def test_too_little_data_are_rejected_with_the_required_length(tmp_path: Path) -> None:
-    # Three records of one block each remain for the fit: too few for five-fold cross-validation.
+    # Three records of one block each remain for the fit: too few for four-fold cross-validation.
     short = [settled_response(i, 3.0, NOISE_M) for i in range(4)]
-    with pytest.raises(IdentificationError, match=r"at least 20 s .* found 9 s in 3 records"):
+    with pytest.raises(IdentificationError, match=r"at least 16 s .* found 9 s in 3 records"):
         traced(logs(tmp_path, short))
 
 
@@ -173,9 +173,9 @@ def test_truncated_log_gives_a_note(tmp_path: Path) -> None:
     [
         ((16.0, 16.0), [16.0], [16.0]),
         # 2 s are too short for a test: the end of the long record is held out as well.
-        ((20.0, 2.0), [12.0], [8.0, 2.0]),
+        ((20.0, 2.0), [15.0], [5.0, 2.0]),
         ((2.0, 20.0), [2.0], [20.0]),
-        ((20.0,), [12.0], [8.0]),
+        ((20.0,), [15.0], [5.0]),
         ((2.0,), [2.0], []),
     ],
 )

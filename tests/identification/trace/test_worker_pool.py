@@ -135,7 +135,7 @@ def test_trace_continues_in_one_process_if_no_worker_is_free(
     sources: list[RecordSource], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker_pool, "_POLL_S", 0.05)
-    monkeypatch.setattr(worker_pool, "_NO_WORKERS_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(worker_pool, "_timeout_s", lambda: 0.2)
     messages: list[str] = []
     with ThreadPoolExecutor(1) as pool:
         busy = pool.submit(time.sleep, 1.0)  # the only worker is busy
@@ -204,7 +204,7 @@ def test_worker_threads_use_one_linear_algebra_thread_each(
 
 def test_scheduler_without_workers_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(worker_pool, "_CONNECT_TIMEOUT_S", 2.0)
+    monkeypatch.setattr(worker_pool, "_timeout_s", lambda: 2.0)
     with (
         distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as empty,
         pytest.raises(IdentificationError, match="a scheduler with workers, found none within"),

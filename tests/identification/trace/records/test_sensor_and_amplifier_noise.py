@@ -229,20 +229,20 @@ def named(record: TraceRecord, name: str, kind: str) -> TraceRecord:
     return replace(record, kind=kind, experiment=replace(record.experiment, name=name))
 
 
-def test_every_third_record_of_a_kind_is_held_out(rig: ModuleType) -> None:
+def test_every_fourth_record_of_a_kind_is_held_out(rig: ModuleType) -> None:
     made = still(rig, 1, 4.0)
     kinds = ["a", "b", "a", "a", "b", "a", "a", "a"]
     train, held = split([named(made, str(i), kind) for i, kind in enumerate(kinds)])
-    # The second and the fifth of six records of kind a; the second of two of kind b.
-    assert [r.name for r in held] == ["2", "4", "6"]
-    assert [r.name for r in train] == ["0", "1", "3", "5", "7"]
+    # The second and the sixth of six records of kind a; the second of two of kind b.
+    assert [r.name for r in held] == ["2", "4", "7"]
+    assert [r.name for r in train] == ["0", "1", "3", "5", "6"]
     assert all(r.rows == made.rows for r in (*train, *held))
 
 
 def test_single_record_of_a_kind_is_split_without_overlap(rig: ModuleType) -> None:
     made = still(rig, 1, 4.0)
     (train,), (held,) = split([made])
-    assert train.rows == 2400
+    assert train.rows == 3000
     assert train.rows + held.rows == made.rows
     np.testing.assert_array_equal(np.vstack([train.gap, held.gap]), made.gap)
     np.testing.assert_array_equal(
@@ -252,7 +252,7 @@ def test_single_record_of_a_kind_is_split_without_overlap(rig: ModuleType) -> No
 
 
 def test_record_too_short_to_split_is_fitted_whole(rig: ModuleType) -> None:
-    short = still(rig, 1, 2.0)  # its last 40 % are 0.8 s, less than 1 s
+    short = still(rig, 1, 2.0)  # its last quarter is 0.5 s, less than 1 s
     train, held = split([short])
     assert held == []
     assert train[0] is short

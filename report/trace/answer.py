@@ -128,18 +128,24 @@ def _rest_of_rig(result: Outcome) -> str:
 
 def _rest_of_imported(result: ForceOutcome) -> str:
     """Return a sentence on the missing force, before and after."""
-    parts = []
+    changed, same = list[str](), list[str]()
+    of, several = " of the inputs' force", len(result.dof) > 1
     for i, name in enumerate(result.dof):
-        before, after = (e.force_percent[i] for e in (result.before, result.after))
-        at = f" at {symbol(name)}" if len(result.dof) > 1 else ""
-        parts.append(f"from {before:.3g} to {after:.3g} % of the inputs' force{at}")
+        before, after = (f"{e.force_percent[i]:.3g}" for e in (result.before, result.after))
+        at = f" at {symbol(name)}" if several else ""
+        if before == after:
+            same.append(f"{after} %{'' if changed or same else of}{at}")
+        else:
+            changed.append(f"from {before} to {after} %{'' if changed else of}{at}")
     lacks = "".join(f" {_sentence(clause)}" for clause in result.lacks)
     if result.laws:
-        before, after = (np.linalg.norm(e.force_percent) for e in (result.before, result.after))
-        changes = "falls" if after < before else "does not fall:"
-        return f"The missing force {changes} {'; '.join(parts)}.{lacks}"
+        whole = [np.linalg.norm(e.force_percent) for e in (result.before, result.after)]
+        changes = "falls" if whole[1] < whole[0] else "does not fall:"
+        steps = [f"{changes} {', '.join(changed)}"] if changed else []
+        stays = [f"stays {', '.join(same)}"] if same else []
+        return f"The missing force {' and '.join(steps + stays)}.{lacks}"
     left = "; ".join(
-        f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
+        f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if several else "")
         for e, name in zip(result.after.force_percent, result.dof, strict=True)
     )
     return f"No undeclared effect was confirmed. The model leaves {left} unexplained.{lacks}"

@@ -67,7 +67,8 @@ class _Words:
 
 @dataclass(frozen=True)
 class _Parameter:
-    """Format a parameter: {k} is its size, {k:%} in percent, {k:more|less} a word by its sign."""
+    """Format a parameter: {k} is its size, {k:%} in percent, {k:double} twice that, {k:more|less} a
+    word by its sign."""
 
     found: EffectParameter | None
 
@@ -82,6 +83,8 @@ class _Parameter:
             compound = "/" in own or " " in own
             factor, prefix = (1.0, "") if compound else engineering(size, own)
             unit = prefix + unit_text(own)
+        if spec == "double":
+            factor *= 2.0
         half = 0.0 if self.found.se is None else SURE_95 * self.found.se
         return f"{_digits(factor * size, factor * half)} {unit}".strip()
 
@@ -89,7 +92,8 @@ class _Parameter:
 def _digits(size: float, half: float) -> str:
     """Return a positive number to the first digit of half its interval, to three without one."""
     if not half > 0.0 or half >= size:
-        return f"{size:.2g}" if half >= size > 0.0 else f"{size:.3g}"
+        # Rounded, and then in full: 770, not 7.7e+02.
+        return f"{float(f'{size:.2g}' if half >= size > 0.0 else f'{size:.3g}'):g}"
     return to_interval(size, half, digits=1)
 
 
@@ -170,8 +174,8 @@ _CLAUSES = {
     "arm_length.": "the arm lengths are {arm:%} {arm:longer|shorter} than declared",
     "vibration.reading": "the readings of {at} have a hum of {frequency}",
     "vibration.": "a vibration of {frequency} acts on {at}",
-    "backlash.load": "{at} moves a load behind a gap of twice {half}",
-    "backlash.": "a gap of twice {half} is at {at}",
+    "backlash.load": "{at} moves a load behind a gap of {half:double}",
+    "backlash.": "a gap of {half:double} is at {at}",
     "magnetic_force": "the magnetic force on {at} changes with the gap",
     "actuator.crosstalk": "a part of one command acts at the other input ({at})",
     "actuator.asymmetric": "the gain of {at} differs between the two directions",

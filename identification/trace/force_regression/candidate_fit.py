@@ -224,7 +224,8 @@ def _amplitudes(
     b = U.T @ (Q.T @ rest)
     found = Vt.T @ np.where(told, b / np.where(told, s, 1.0), 0.0)
     if np.any(found < low) or np.any(found > high):
-        found = np.clip(lsq_linear((s * told)[:, None] * Vt, b * told, (low, high)).x, low, high)
+        few = lsq_linear((s * told)[:, None] * Vt, b * told, (low, high), method="bvls")
+        found = np.clip(few.x, low, high)
     return np.asarray(found / size)
 
 

@@ -90,9 +90,11 @@ class Certainty:
         )
 
     def says_nothing(self, options: SearchOptions) -> str | None:
-        """Return the effect, by identity, that leaves more than it takes and may be zero, if any.
+        """Return the effect, by identity, that leaves much of what it should take and may be zero.
 
-        Other effects that were found later have taken its place, or its fit has moved the model.
+        None if there is no such one. What leaves much is in doubt, and what may be zero as well was
+        not found: another effect has taken its place, its fit has moved the model, or it stands for
+        something that is no law of the table.
         """
         errors = {
             p.effect.identity: own
@@ -100,7 +102,8 @@ class Certainty:
         }
         for rated, left in zip(self.found.rated, self.left_share, strict=True):
             identity = rated.placed.effect.identity
-            if not rated.free and left > 0.5 and not is_told(errors[identity], options):
+            much = left > options.least_gain
+            if not rated.free and much and not is_told(errors[identity], options):
                 return identity
         return None
 

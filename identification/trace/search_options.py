@@ -106,6 +106,11 @@ class SearchOptions:
         return self.accuracy**2
 
     @property
+    def negligible(self) -> float:
+        """Relative error beside which that of an equation is large."""
+        return self.least_gain * self.accuracy
+
+    @property
     def told_from_model(self) -> float:
         """Share of an effect's squared force that must remain beside the model's own parameters and
         the scale of all actuators; the rest is a change of these.

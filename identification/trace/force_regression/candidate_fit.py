@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _NARROW = SearchOptions.accuracy
 """Width to which a valley is narrowed along one number of a shape, over its first one."""
-_DIFFERENCE = SearchOptions.accuracy**2
+_DIFFERENCE = SearchOptions().negligible
 _INSIDE = DIFFERENCE
 _SHARE, _SHARE_LOG = 1.0 / SearchOptions.resolved, 1.0
 """First steps of a fit: of the distance of the bounds, and of a logarithm."""

@@ -21,7 +21,7 @@ from .residual_whitening import Whitening
 
 Array = NDArray[np.float64]
 
-_DAMPING = SearchOptions.accuracy**2
+_DAMPING = SearchOptions().negligible
 """Weight of the way from a fit's begin, relative to the columns: what these do not tell apart stays
 where it was."""
 HALVINGS = ceil(-log2(SearchOptions.accuracy))

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 _TO_HZ = SearchOptions.at_a_time * SearchOptions.resolved / SearchOptions.block_s
 """Errors are decimated to this rate; the platform's response is below half of it."""
-MOST_TRUST = 1.0 / (SearchOptions.accuracy * SearchOptions.least_gain)
+MOST_TRUST = 1.0 / SearchOptions().negligible
 _NOISE_REACH = float(SearchOptions.standard_errors * np.log(MOST_TRUST))
 _MOST_FILTERS = 2 * SearchOptions.resolved
 _SETTLED = SearchOptions.accuracy

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 HIGHEST = 0.5
 """Highest frequency over the sampling rate."""
-_LOG_DAMPING = np.log([SearchOptions.accuracy * SearchOptions.least_gain, 0.5**0.5])
+_LOG_DAMPING = np.log([SearchOptions().negligible, 0.5**0.5])
 """From what is no broader than a line to what has no peak any more."""
 _DAMPING = float(np.exp(_LOG_DAMPING.mean()))
 _STEP = 0.5 * _DAMPING

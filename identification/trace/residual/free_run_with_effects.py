@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 _MAX_ITERATIONS = SearchOptions.steps * SearchOptions.resolved
 _SETTLED = SearchOptions.accuracy
 """Rms change of the readings at convergence, over the sensors' noise or the simulation's error."""
-_LEAST = SearchOptions.least_gain * SearchOptions.accuracy
+_LEAST = SearchOptions().negligible
 """Least step of a slope, over the spread of the motion."""
 _KEPT = _MAX_ITERATIONS
 """Steps that the next one is extrapolated from. A lightly damped mass on a spring takes as many."""

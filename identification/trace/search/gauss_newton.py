@@ -26,7 +26,7 @@ Candidate = tuple[Effect, tuple[float, ...]]
 _WORTH_A_STEP = SearchOptions.least_gain
 """Squared errors that a step must promise, and take: a step of s standard errors takes s^2."""
 ROUGHLY, NEARLY, FULLY = (
-    _WORTH_A_STEP * SearchOptions.accuracy,
+    SearchOptions().negligible,
     SearchOptions.accuracy**2,
     DIFFERENCE,
 )

@@ -19,17 +19,18 @@ class SearchOptions:
 
     least_gain: share of what noise does not explain that an effect must take to matter (0.1 is 5 %
     of the RMS error): of the free-run error of held-out records, of which one step ahead its square
-    is enough; else of the errors that it is fitted to. Weights may not cost as much.
+    is enough; else of the errors that it is fitted to. Weights may not cost as much. From it follow
+    `least_free_gain` and `much_left`.
 
-    accuracy: relative error of an equation that is right, from which follow `inexact`, `alike`,
-    `visible`, `least_force` and `told_from_model`. law_accuracy: the same of a law of friction that
-    stands for another one, such as eight slip elements for twenty.
+    accuracy: relative error of an equation that is right, from which follow `explained`, `inexact`,
+    `alike`, `visible`, `least_force` and `told_from_model`. law_accuracy: the same of a law of
+    friction that stands for another one, such as eight slip elements for twenty.
 
     block_s: seconds of a block of time of the rig's records, and of a segment of spectra: longer
-    than the platform remembers, so that blocks are independent.
-    blocks: blocks of time of imported records, by whose scatter an effect is judged. Fewer make the
-    scatter uncertain, more make the blocks shorter than what an effect needs to show.
-    In short records they are fewer, as each block needs two independent values.
+    than the platform remembers, so that blocks are independent. blocks: blocks of time of imported
+    records, by whose scatter an effect is judged. Fewer make the scatter uncertain, more make the
+    blocks shorter than what an effect needs to show. In short records they are fewer, as each block
+    needs two independent values.
 
     reported: share of all time that neither fits nor chooses.
 
@@ -37,8 +38,8 @@ class SearchOptions:
     once. patience: how many refusals in a row, detours and other ways a search tries. resamples:
     bootstrap samples of the blocks for the support.
 
-    resolved: points by which a period, a peak or a memory is resolved. steps: of an iteration, that
-    most do without. at_a_time: rows, columns or points that are dealt with at once.
+    resolved: points by which a period, a peak or a memory is resolved. steps: of an iteration at
+    most; few need as many. at_a_time: rows, columns or points that are dealt with at once.
     """
 
     standard_errors: float = 3.0

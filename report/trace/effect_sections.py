@@ -143,7 +143,7 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
             )
         parts.append(
             Text(
-                f"Added in round {why.round}. Five-fold cross-validation: the squared error falls "
+                f"Added in round {why.round}. Four-fold cross-validation: the squared error falls "
                 f"by {why.explained:,.0f} noise variances"
                 + ("" if why.share is None else f", {share_text(why.share)}")
                 + f". {confirmed} (z = {why.statistic:.0f})."

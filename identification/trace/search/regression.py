@@ -1,7 +1,7 @@
-"""Regress prediction errors on columns from Gram matrices, with five-fold cross-validation.
+"""Regress prediction errors on columns from Gram matrices, with four-fold cross-validation.
 
-The unit of the cross-validation is a time block: coefficients are fitted to four fifths of the
-blocks and tested on the fifth.
+The unit of the cross-validation is a time block: coefficients are fitted to three quarters of the
+blocks and tested on the fourth.
 """
 
 from __future__ import annotations

@@ -128,22 +128,25 @@ def _rest_of_rig(result: Outcome) -> str:
 
 def _rest_of_imported(result: ForceOutcome) -> str:
     """Return a sentence on the missing force, before and after."""
-    changed, same = list[str](), list[str]()
+    changed, same = list[tuple[str, str]](), list[tuple[str, str]]()
     of, several = " of the inputs' force", len(result.dof) > 1
     for i, name in enumerate(result.dof):
         before, after = (f"{e.force_percent[i]:.3g}" for e in (result.before, result.after))
         at = f" at {symbol(name)}" if several else ""
         if before == after:
-            same.append(f"{after} %{'' if changed or same else of}{at}")
+            same.append((f"{after} %", at))
         else:
-            changed.append(f"from {before} to {after} %{'' if changed else of}{at}")
+            changed.append((f"from {before} to {after} %", at))
     lacks = "".join(f" {_sentence(clause)}" for clause in result.lacks)
     if result.laws:
         whole = [np.linalg.norm(e.force_percent) for e in (result.before, result.after)]
         changes = "falls" if whole[1] < whole[0] else "does not fall:"
-        steps = [f"{changes} {', '.join(changed)}"] if changed else []
-        stays = [f"stays {', '.join(same)}"] if same else []
-        return f"The missing force {' and '.join(steps + stays)}.{lacks}"
+        clauses: list[str] = []
+        for verb, some in ((changes, changed), ("stays", same)):
+            of_each = [of, *("" for _ in some[1:])] if not clauses else ["" for _ in some]
+            texts = [share + own + at for (share, at), own in zip(some, of_each, strict=False)]
+            clauses += [f"{verb} {', '.join(texts)}"] if texts else []
+        return f"The missing force {' and '.join(clauses)}.{lacks}"
     left = "; ".join(
         f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if several else "")
         for e, name in zip(result.after.force_percent, result.dof, strict=True)

@@ -13,7 +13,7 @@ from ....model.effects.base import Effect, Placed
 from ...rounding import TINY
 from ..search_options import SearchOptions
 from .force_record import ForceModel
-from .free_numbers import amplitudes_of, at_limits, numbers_of
+from .free_numbers import amplitudes_of, numbers_of
 from .held_out_gain import Blocks, Columns, block_sums, bounded, error_of_mean
 from .rated_candidate import Rated, confirmed, missing_after
 from .training_records import Training, missing_share
@@ -38,10 +38,8 @@ def fitted_rivals(
     not surely worse than the best is not told apart from it, nor is what equals it in a linear
     plant, where other effects are found at its inputs only. Of these the one with the fewest
     numbers comes first, and has the others as its alternatives, but for richer laws at its place: a
-    richer law contains most simpler ones. Then come the others, best first. What needs a parameter
-    at a limit that the user declared, other than zero, comes after what needs none.
+    richer law contains most simpler ones. Then come the others, best first.
     """
-    ended = {name for name, _, _ in at_limits(beside)}
     rivals = [r for r in ranking if r.instead_of is first.instead_of and confirmed(r, options)]
     fitted = list[_Fitted]()
     for rated in rivals:  # best first: most others soon prove to stay behind
@@ -58,7 +56,7 @@ def fitted_rivals(
             held = _Fitted.at(plain, rated, training, noise, options)
             own = replace(own, textbook=not _worse(held, own, training.blocks, options))
         fitted.append(own)
-    fitted.sort(key=lambda f: (f.displaces(ended), float(f.errors.sum())))
+    fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
     alike.sort(key=lambda f: f.numbers)
     inputs = set(training.records[0].signals.places.actuators)
@@ -134,14 +132,6 @@ class _Fitted:
         if any(q.another_below and value <= q.low for q, value in pairs):
             return False
         return self.textbook or placed.as_textbook() is None
-
-    def displaces(self, ended: set[str]) -> bool:
-        """Return whether its fit moved a parameter to a limit other than zero.
-
-        `ended` are at their limits without it. A spring that another law replaces is zero; what
-        needs a mass or a delay beyond its range contradicts what the user knows.
-        """
-        return any(limit and name not in ended for name, _, limit in at_limits(self.point))
 
     @property
     def last(self) -> Placed:

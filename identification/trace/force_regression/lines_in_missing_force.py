@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _FINE = 2.0 * SearchOptions.resolved
 """Steps of a frequency over the inverse of the time of all records."""
+_MOST_STEPS = SearchOptions.at_a_time**2
 _COHERENT = 0.5
 """Share of the power of a line in each record that one phase must explain in all of them."""
 
@@ -57,7 +58,7 @@ def _joint(
     """Return the frequency near a line's that explains most with one phase in all records; None if
     it explains little of what a phase for each record does."""
     span_s = max(float(t[-1]) for t in times) - min(float(t[0]) for t in times)
-    steps = int(2.0 * step_hz * _FINE * span_s) + 1
+    steps = min(int(2.0 * step_hz * _FINE * span_s) + 1, _MOST_STEPS)
     tried = f_hz + np.linspace(-step_hz, step_hz, steps)
     sums = [_spectrum(part, t, tried) for t, part in zip(times, parts, strict=True)]
     rows = np.array([len(t) for t in times])

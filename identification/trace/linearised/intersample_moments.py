@@ -9,11 +9,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...greybox.experiment.intersample_input import Hold, moments
-from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
 
-POINTS = SearchOptions.resolved + 2
+POINTS = 6
 """Rows used to interpolate a force over a period: k - 2 to k + 3."""
 
 

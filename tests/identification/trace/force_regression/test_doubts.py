@@ -214,6 +214,24 @@ def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -
     assert law.doubts == ("without what is in doubt, 75 % is left beside it",)
 
 
+@pytest.mark.parametrize(
+    ("left", "error", "gone"),
+    [(0.46, 0.5, True), (0.46, 0.2, False), (0.05, 0.5, False)],
+)
+def test_what_leaves_much_and_may_be_zero_was_not_found(
+    left: float, error: float, gone: bool
+) -> None:
+    """Each of both alone is a doubt: a right law can be small, or have another one beside it."""
+    rated = law_of("actuator_lag").rated
+    found = Searched(SimpleNamespace(placed=(rated.placed,)), (rated,), (), ())  # type: ignore[arg-type]
+    nothing = np.zeros(0)
+    told = certainty_of_effects.Certainty(
+        found, nothing, nothing, [np.array([error])], nothing, nothing, (left,), (0.0,)
+    )
+    expected = rated.placed.effect.identity if gone else None
+    assert told.says_nothing(SearchOptions()) == expected
+
+
 def law_of(key: str) -> FoundLaw:
     """Return a law of its first shape that nothing puts in doubt."""
     (effect,) = (

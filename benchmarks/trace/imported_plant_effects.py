@@ -51,6 +51,7 @@ class Law:
         return values
 
 
+_MAGNETS = (Kind.MAGNET, Kind.BEARING)
 _ACTUATOR = "actuator_nonlinearity"
 LAWS = {
     "none": Law(Kind.NONE, ()),
@@ -97,6 +98,12 @@ LAWS = {
     "loaded_gear": Law(
         Kind.LOADED_GEAR, ("friction",), True, "actuator.load_friction", ("share", "v_s")
     ),
+    "preload": Law(
+        Kind.PRELOAD, ("preload",), effect="stiffness.preloaded", names=("P", "q0", "width")
+    ),
+    "bearing": Law(
+        Kind.BEARING, ("magnetic_force",), effect="magnetic_force.differential.closes"
+    ),
 }  # fmt: skip
 """Effects by name."""
 
@@ -104,7 +111,7 @@ _ANYWHERE = (
     "none", "cubic_stiffness", "quadratic_stiffness", "drag", "stop", "loose_mass",
     "squared_actuator", "cubic_actuator", "force_with_speed", "dead_zone", "saturation",
     "quantised", "drift", "lag", "delay", "drag_15", "two_gains", "creep", "rate_limit",
-    "second_order", "thinning_grease", "loaded_gear",
+    "second_order", "thinning_grease", "loaded_gear", "preload",
 )  # fmt: skip
 _RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction")
 _LONG = ("cogging", "force_ripple")
@@ -115,6 +122,7 @@ CASES = {
     "stage": (*_ANYWHERE, *_RUBBING),
     "levitation": (
         "none", "magnet", "squared_actuator", "drag", "drift", "lag", "quantised", "delay",
+        "bearing",
     ),
 }  # fmt: skip
 """Effects of each plant."""
@@ -198,7 +206,7 @@ def _drawn(
     if "motor" in plant.dof:
         place = int(law.kind == Kind.GAP)  # all others act on the motor
     names = list(plant.inputs if law.at_input else plant.dof)
-    where = (names[place],) if law.kind != Kind.MAGNET else ("y", "i")
+    where = (names[place],) if law.kind not in _MAGNETS else ("y", "i")
     numbers = _numbers(law.kind, plant, plain, place, rng)
     if law.kind == Kind.NONE:
         return None, place
@@ -211,7 +219,7 @@ def _drawn(
             return plant.unexplained(motion) / force if np.all(np.isfinite(motion.y)) else np.inf
 
     size = sized(numbers)
-    if law.kind not in (Kind.SINE, Kind.MAGNET):
+    if law.kind not in (Kind.SINE, *_MAGNETS):
         numbers, size = _with_size(sized, wanted, numbers, _most(law.kind, plant, plain, place))
     return Drawn(law, where, numbers, size), place
 
@@ -273,6 +281,8 @@ def _numbers(
             0.05 * mass, middle * rng.uniform(0.5, 1.2), rng.uniform(0.01, 0.05)
         ),
         Kind.MAGNET: (weight, 2.0 * weight / b, -2.0 * weight / k),
+        Kind.BEARING: (2.0 * weight, 2.0 * weight / b, -2.0 * weight / k),
+        Kind.PRELOAD: (tenth, 0.5 * stop, 0.1 * share * q),
         Kind.SQUARED: (0.1 / u,),
         Kind.CUBED: (0.03 / u**2,),
         Kind.WITH_SPEED: (0.1 / w,),

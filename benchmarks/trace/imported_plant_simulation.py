@@ -54,6 +54,12 @@ class Kind(IntEnum):
     SECOND_ORDER = 28  # F'' + 2 damping w F' + w^2 F = w^2 u, w = 1 / s
     THINNING = 29  # -s w / (1 + |w| / v)
     LOADED_GEAR = 30  # F = u - s |u| tanh(w / v)
+    PRELOAD = 31  # -s clip((q - q0) / width, -1, 1)
+    BEARING = 32  # s (((1 + i)^2 / (1 - x)^2 - (1 - i)^2 / (1 + x)^2) / 4 - i - x), as MAGNET
+
+
+_FORCES_ON_DOF = (Kind.THINNING, Kind.PRELOAD)
+"""Of the kinds behind those of an input."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +142,8 @@ def _on_dof(  # noqa: PLR0911, PLR0912 - numba has no match
         return -s[0] * (1.0 + s[2] * np.sin(q / s[3])) * np.tanh(w / s[1])
     if kind == Kind.THINNING:
         return -s[0] * w / (1.0 + np.abs(w) / s[1])
+    if kind == Kind.PRELOAD:
+        return -s[0] * min(max((q - s[1]) / s[2], -1.0), 1.0)
     if kind == Kind.DRAG_15:
         return -s[0] * abs(w) ** 0.5 * w
     return 0.0
@@ -198,6 +206,10 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
                         i, gap = u[row, 0] / s[1], q_mid[0] / s[2]
                         near = 1.0 - min(gap, 0.9)
                         extra[0] += s[0] * ((1.0 + i) ** 2 / near**2 - 1.0 - 2.0 * i - 2.0 * gap)
+                    elif kind == Kind.BEARING:
+                        i, x = u[row, 0] / s[1], min(max(q_mid[0] / s[2], -0.9), 0.9)
+                        pulls = ((1.0 + i) / (1.0 - x)) ** 2 - ((1.0 - i) / (1.0 + x)) ** 2
+                        extra[0] += s[0] * (0.25 * pulls - i - q_mid[0] / s[2])
                     elif kind == Kind.LAG:
                         lag_rate = (F[place] - lag_mid) / s[0]
                         F[place] = lag_mid
@@ -214,7 +226,7 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
                     elif kind == Kind.DELAY:
                         if step < round(s[0] / h):
                             F[place] = before[place]
-                    elif kind >= Kind.SQUARED and kind != Kind.THINNING:
+                    elif kind >= Kind.SQUARED and kind not in _FORCES_ON_DOF:
                         at = min(place, n - 1)
                         t_s = (row + (step + 0.5) / steps) * Ts_s
                         F[place] = _input_force(kind, s, F[place], q_mid[at], w_mid[at], t_s)

@@ -32,6 +32,7 @@ from ...log.reader import read_log
 from ...model.effects.base import Loads
 from ..records.record import IdentificationError
 from .record_affinity_pool import RecordAffinityPool
+from .records.memory_of_arrays import memory_of_arrays
 from .records.record_from_log import TraceRecord, trace_record
 
 Answer = TypeVar("Answer")
@@ -327,10 +328,13 @@ def _read(source: RecordSource, model_json: str) -> TraceRecord:
 
 
 class _Kept:
-    """A cache of records up to a size in bytes, least recently used dropped first."""
+    """A cache of records up to a size in bytes, least recently used dropped first.
+
+    The size is that of the records with all that was prepared from them until a record is added.
+    """
 
     def __init__(self, most_bytes: int) -> None:
-        self._most, self._bytes = most_bytes, 0
+        self._most = most_bytes
         self._records: OrderedDict[object, TraceRecord] = OrderedDict()
         self._lock = threading.Lock()  # workers of a cluster may be threads
 
@@ -345,10 +349,9 @@ class _Kept:
             if key in self._records:
                 return
             self._records[key] = record
-            self._bytes += record.nbytes
-            while self._bytes > self._most and len(self._records) > 1:
-                _, dropped = self._records.popitem(last=False)
-                self._bytes -= dropped.nbytes
+            kept = self._records
+            while len(kept) > 1 and memory_of_arrays(*kept.values()) > self._most:
+                kept.popitem(last=False)
 
 
 def _memory_each() -> int:

@@ -4,7 +4,10 @@ A reluctance actuator attracts iron with (current / gap)^2. The force between a 
 its axis is proportional to the current and, at a distance, falls with the fourth power of the gap
 (Furlani, *Permanent Magnet and Electromechanical Devices*, 2001, ch. 3 and 5). Iron at a distance
 from a coil is attracted with the current squared and a power of the gap above two; the fourth
-stands for these. The equation is the force around a working point, without its constant and linear
+stands for these. Two magnets at both sides of what they carry, one of which gets the more current
+as the other gets less, are an active magnetic bearing (Schweitzer and Maslen, *Magnetic Bearings*,
+2009, ch. 4): its force is odd in current and position together, i x^2, i^2 x and x^3. The equation
+is the force around a working point, without its constant and linear
 part, because stiffness, gain and constant force of the model contain them. The key ends with the
 working point [q_m,F_m], rounded means of position and command, and tells whether the gap opens or
 closes with q. y0 is the gap and i0 the current at the working point; c is the force there.
@@ -26,6 +29,8 @@ from .operating_range import Extent
 
 _LAWS = {"i2_y2": (2, 2), "i1_y4": (1, 4), "i2_y4": (2, 4)}
 """Exponents of current and gap of each law."""
+_DIFFERENTIAL = "differential"
+"""The law of two magnets, at both sides."""
 _SIGNS = {"opens": 1.0, "closes": -1.0}
 _KEY = re.compile(
     r"magnetic_force\.(?P<law>\w+)\.(?P<way>\w+)\[(?P<at>[0-9.e+-]+),(?P<command>[0-9.e+-]+)\]"
@@ -54,7 +59,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return [
         _force(places, extent, i, c, law, way, (extent.around(i), extent.mean_command(c)))
         for i, c in pairs
-        for law in _LAWS
+        for law in (*_LAWS, _DIFFERENTIAL)
         for way in _SIGNS
     ]
 
@@ -64,7 +69,7 @@ def magnetic_force_effect(
 ) -> Effect | None:
     """Return the magnetic force with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
-    if found is None or found["law"] not in _LAWS or found["way"] not in _SIGNS or places.beam:
+    if found is None or found["law"] not in (*_LAWS, _DIFFERENTIAL) or found["way"] not in _SIGNS or places.beam:
         return None
     if len(where) != 2 or where[0] not in places.dof or where[1] not in places.actuators:
         return None
@@ -85,7 +90,6 @@ def _force(
     way: str,
     at: tuple[float, float],
 ) -> Effect:
-    a, b = _LAWS[law]
     force, unit, largest = places.force_unit(dof), places.dof_units[dof], extent.reach[dof]
     largest *= _EXCURSION
     command = _EXCURSION * _spread(extent, coil)
@@ -93,17 +97,27 @@ def _force(
     y0 = Quantity("y0", unit, least * largest, most * largest, log=True)
     least, most = _CURRENT_BOUNDS
     i0 = Quantity("i0", places.command_unit(coil), least * command, most * command, log=True)
-    gap = f"(y0 {'+' if way == 'opens' else '-'} y)"
-    current = f"(i0 {'+' if at[1] >= 0.0 else '-'} i)"
+    plus, minus = ("+", "-") if way == "opens" else ("-", "+")
+    if law == _DIFFERENTIAL:
+        name = f"Magnetic force of two magnets, gap of the first {way} with the position"
+        ratio = (
+            f"(((i0 + i) / (y0 {plus} y))^2 - ((i0 - i) / (y0 {minus} y))^2) (y0 / i0)^2 / 4"
+        )
+        build = partial(_of_two_magnets, dof=dof, coil=coil, sign=_SIGNS[way], at=at)
+    else:
+        a, b = _LAWS[law]
+        name = f"Magnetic force, current^{a} over gap^{b}, gap {way} with the position"
+        current = f"(i0 {'+' if at[1] >= 0.0 else '-'} i)"
+        ratio = f"({current} / i0)^{a} (y0 / (y0 {plus} y))^{b}"
+        build = partial(_magnetic, dof=dof, coil=coil, law=law, sign=_SIGNS[way], at=at)
     return Effect(
         f"magnetic_force.{law}.{way}[{at[0]:g},{at[1]:g}]",
-        f"Magnetic force, current^{a} over gap^{b}, gap {way} with the position",
+        name,
         "magnetic_force",
         (places.dof[dof], places.actuator(coil)),
-        f"force = c (({current} / i0)^{a} (y0 / {gap})^{b}, less its linear part); y = q - q_m, "
-        "i = F - F_m",
+        f"force = c ({ratio}, less its linear part); y = q - q_m, i = F - F_m",
         (Quantity("c", force),),
-        partial(_magnetic, dof=dof, coil=coil, law=law, sign=_SIGNS[way], at=at),
+        build,
         (y0, i0),
         tuple((y * largest, i * command) for y in _GAPS for i in _CURRENTS),
         absorbed_by="the linear part: stiffness, gain and constant force",
@@ -130,6 +144,21 @@ def _magnetic(
     r = (1.0 if at[1] >= 0.0 else -1.0) * (_current(signals, coil) - at[1]) / shape[1]
     force = (1 + r) ** a * _over_gap(x, b) - 1 - a * r + b * x
     return [on_dof(signals, dof, force)]
+
+
+def _of_two_magnets(
+    signals: Signals,
+    shape: Sequence[float],
+    *,
+    dof: int,
+    coil: int,
+    sign: float,
+    at: tuple[float, float],
+) -> list[Term]:
+    x = sign * (signals.q[:, dof] - at[0]) / shape[0]
+    r = (_current(signals, coil) - at[1]) / shape[1]
+    first, second = (1 + r) ** 2 * _over_gap(x, 2), (1 - r) ** 2 * _over_gap(-x, 2)
+    return [on_dof(signals, dof, 0.25 * (first - second) - r + x)]
 
 
 def _over_gap(x: Array, power: int) -> Array:

@@ -1,8 +1,8 @@
-"""Means around rows of a force that turns with the speed faster than records are sampled.
+"""Means around rows of a force that turns with the motion faster than records are sampled.
 
-Between two rows the speed is the cubic that has both rows' speeds and accelerations. Each half of a
-row is cut into parts in which it is nearly linear, so that the mean of a law is a difference of its
-integral, however fast it turns there.
+Between two rows the speed is the cubic that has both rows' speeds and accelerations, and the
+position that of both rows' positions and speeds. Each half of a row is cut into parts in which it
+is nearly linear, so that the mean of a law is a difference of its integral, however fast it turns.
 """
 
 from __future__ import annotations
@@ -21,11 +21,21 @@ _STILL = 1e-4
 
 def speeds_between_rows(signals: Signals, dof: int) -> Array:
     """Return the speeds (2 _PARTS + 1, N - 1) of a DOF from each row to the next one."""
-    v, a = signals.qd[:, dof], signals.Ts_s * signals.qdd[:, dof]
+    return _between(signals.qd[:, dof], signals.Ts_s * signals.qdd[:, dof])
+
+
+def positions_between_rows(signals: Signals, dof: int) -> Array:
+    """Return the positions (2 _PARTS + 1, N - 1) of a DOF from each row to the next one."""
+    return _between(signals.q[:, dof], signals.Ts_s * signals.qd[:, dof])
+
+
+def _between(values: Array, changes: Array) -> Array:
+    """Return the cubics (2 _PARTS + 1, N - 1) through rows' values (N,) with changes per row."""
     s = np.linspace(0.0, 1.0, 2 * _PARTS + 1)[:, None]
     end = s * s * (3.0 - 2.0 * s)
     begin_slope, end_slope = s * (1.0 - s) ** 2, s * s * (s - 1.0)
-    return np.asarray(v[:-1] + end * (v[1:] - v[:-1]) + begin_slope * a[:-1] + end_slope * a[1:])
+    found = values[:-1] + end * (values[1:] - values[:-1])
+    return np.asarray(found + begin_slope * changes[:-1] + end_slope * changes[1:])
 
 
 def means_of_parts(

@@ -1,9 +1,11 @@
-"""Stiffness that is not linear: cubic, quadratic, one-sided, viscoelastic.
+"""Stiffness that is not linear: cubic, quadratic, one-sided, preloaded, viscoelastic.
 
 Clamped rods in bending stretch as they deflect, so their force has a cubic part (Duffing; Kovacic
 and Brennan, *The Duffing Equation*, 2011). The force of buckled rods differs between upward and
 downward deflection; a quadratic part describes this. The force of a one-sided contact has a kink
-over the deflection (Shaw and Holmes 1983). Rubber and polymers creep: a spring in series with a
+over the deflection (Shaw and Holmes 1983). A spring that is preloaded against a stop to both sides
+returns to the middle with a force that jumps there, as that of a throttle valve at its limp-home
+position (Deur et al., *An electronic throttle control strategy*, 2004). Rubber and polymers creep: a spring in series with a
 damper, beside the declared one, is soft when slow and stiff when fast (Lakes, *Viscoelastic
 Materials*, 2009, ch. 2). Signature: a force that depends on the pose only, not on
 the speed; the cubic part responds at odd lines of a multisine, the quadratic part at even lines and
@@ -18,15 +20,19 @@ from functools import partial
 
 import numpy as np
 
-from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .force_units import unit_power
 from .lag_and_hysteresis_recursions import lagged_motion
 from .operating_range import Extent
 from .point_force_conversion import forces, heights
+from .speed_between_rows import at_rows, means_of_parts, positions_between_rows
 
 _WIDE = 3.0
 _CONTACTS = (-0.4, 0.0, 0.4)
 """Start positions of a contact over three standard deviations of the record with most motion."""
+_YIELDS, _YIELD_BOUNDS = (0.03, 0.3), (1e-4, 3.0)
+"""Start values and bounds of the deflection within which a preload is reached, over the standard
+deviation of the motion. With a longer one the force would be that of a linear spring."""
 _CREEP_S = (0.03, 0.3, 3.0)
 """Start values of a creep's time."""
 _LINEAR = "the part linear in the pose: the declared stiffness"
@@ -74,6 +80,29 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             )
         )
         if not places.beam:
+            shortest, longest = (share * extent.reach[i] for share in _YIELD_BOUNDS)
+            found.append(
+                Effect(
+                    "stiffness.preloaded",
+                    "Preloaded spring (detent)",
+                    "preload",
+                    (dof,),
+                    "force = -P clip((q - q0) / width, -1, 1)",
+                    (Quantity("P", force, 0.0),),
+                    partial(_preloaded, dof=i),
+                    (
+                        Quantity("q0", unit, middle - reach, middle + reach),
+                        Quantity("width", unit, shortest, longest, log=True),
+                    ),
+                    tuple(
+                        (middle + share * reach, one * extent.reach[i])
+                        for share in _CONTACTS
+                        for one in _YIELDS
+                    ),
+                    absorbed_by=_LINEAR,
+                    told_apart_by="two amplitudes of excitation: the jump does not move",
+                )
+            )
             found.append(
                 Effect(
                     "stiffness.viscoelastic",
@@ -115,6 +144,21 @@ def _power_of_pose(
 
 def _one_sided(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     return [on_dof(signals, dof, -np.maximum(signals.q[:, dof] - shape[0], 0.0))]
+
+
+def _preloaded(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    away = (positions_between_rows(signals, dof) - shape[0]) / shape[1]
+    return [on_dof(signals, dof, -at_rows(means_of_parts(away, _clipped, _integral)))]
+
+
+def _clipped(away: Array) -> Array:
+    return np.asarray(np.clip(away, -1.0, 1.0))
+
+
+def _integral(away: Array) -> Array:
+    """Return the integral of the clipped deflection from zero."""
+    size = np.abs(away)
+    return np.where(size < 1.0, 0.5 * size * size, size - 0.5)
 
 
 def _viscoelastic(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

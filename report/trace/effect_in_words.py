@@ -105,6 +105,7 @@ _CLAUSES = {
     "stiffness.cubic": "the spring of {at} {k3:hardens|softens} with travel (by {k3})",
     "stiffness.asymmetric": "the spring of {at} is stiffer to one side",
     "stiffness.viscoelastic": "the spring of {at} creeps, within {tau}",
+    "stiffness.preloaded": "a preloaded spring holds {at} in one place (with {P})",
     "stiffness.one_sided": "a contact adds stiffness to one side of {at}",
     "air_damping.linear": "the damping of {at} is {d:higher|lower} than declared",
     "air_damping.across": "damping couples {at}",

@@ -9,11 +9,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...greybox.experiment.intersample_input import Hold, moments
+from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
 
-POINTS = 6
+POINTS = SearchOptions.interpolated
 """Rows used to interpolate a force over a period: k - 2 to k + 3."""
+_BEFORE = POINTS // 2 - 1
 
 
 def force_moments(force: Array, Ts_s: float, order: int, hold: Hold) -> Array:
@@ -41,7 +43,7 @@ def around(force: Array) -> Array:
     The force is constant beyond its ends. In this layout the moments are one matrix product.
     """
     padded = np.concatenate(
-        [np.repeat(force[:1], 2, 0), force, np.repeat(force[-1:], POINTS // 2, 0)]
+        [np.repeat(force[:1], _BEFORE, 0), force, np.repeat(force[-1:], POINTS // 2, 0)]
     )
     n = padded.shape[1]
     return np.ascontiguousarray(sliding_window_view(padded.ravel(), POINTS * n)[::n])
@@ -49,7 +51,7 @@ def around(force: Array) -> Array:
 
 def polynomial_weights(Ts_s: float, order: int) -> Array:
     """Return weights w (order, 6): moment j of period k is w[j] times rows k - 2 to k + 3."""
-    nodes = np.arange(-2.0, POINTS - 2.0)
+    nodes = np.arange(POINTS) - float(_BEFORE)
     # Columns of the inverse Vandermonde are the Lagrange polynomials' coefficients, s in periods.
     lagrange = np.linalg.inv(np.vander(nodes, POINTS, increasing=True))
     weights = np.empty((order, POINTS))

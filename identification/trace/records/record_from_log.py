@@ -50,8 +50,6 @@ _WITHOUT = {
 }
 """Fields that a rig log may lack, and what the trace assumes without them."""
 _SILENT = ROUNDING
-_PREPARED = 6
-"""Memory of what is prepared for a point over that of the record, along a moving beam, measured."""
 _MOST_PARTS = 2
 """Parts of a record that are kept."""
 IMPORTED = "imported"
@@ -109,16 +107,6 @@ class TraceRecord:
     def rows(self) -> int:
         """Number of rows, N."""
         return len(self.time_s)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays and of what is prepared from them, in bytes, without the filters."""
-        e = self.experiment
-        arrays = [self.time_s, self.gap, self.coil, self.coil_excitation, self.beam, self.rotor]
-        arrays += [e.u, e.y, *e.schedule.values()]
-        if e.loop is not None:
-            arrays += [e.loop.v, e.loop.reference, e.loop.feedforward, e.loop.seen]
-        return (1 + _PREPARED) * sum(a.nbytes for a in arrays)
 
     def part(self, start: int, stop: int) -> TraceRecord:
         """Return the same as `cut`, and keep the result for the next time."""

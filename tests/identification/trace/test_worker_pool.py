@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from operator import attrgetter
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from waiting import wait_until
 
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace import worker_pool
+from levid.identification.trace.records.memory_of_arrays import memory_of_arrays
 from levid.identification.trace.records.record_from_log import TraceRecord
 from levid.identification.trace.worker_pool import (
     Alone,
@@ -169,13 +171,19 @@ def test_record_cache_keeps_recently_used_records_within_its_size(
     sources: list[RecordSource],
 ) -> None:
     record = worker_pool._read(sources[0], CONFIG.model_dump_json())
-    assert record.nbytes > 1000 * 8 * 4
-    kept = worker_pool._Kept(3 * record.nbytes)
+    each = memory_of_arrays(record)
+    assert each > 1000 * 8 * 4
+    kept = worker_pool._Kept(3 * each)
     for key in range(5):
-        kept.put(key, record)
+        kept.put(key, record if key == 0 else deepcopy(record))
         assert kept.get(0) is record
     # The first was read after each: it stays, with the last two.
     assert [kept.get(key) is not None for key in range(5)] == [True, False, False, True, True]
+    # What is prepared from a record counts too, once, although the record is in it.
+    record.prepared[b"point"] = record, np.zeros(each // 8), record.gap[5:]
+    assert memory_of_arrays(record) == each + each // 8 * 8
+    kept.put(5, deepcopy(record))
+    assert [kept.get(key) is not None for key in range(6)] == [False] * 5 + [True]
 
 
 def test_part_of_a_record_does_not_keep_the_whole_in_memory(sources: list[RecordSource]) -> None:

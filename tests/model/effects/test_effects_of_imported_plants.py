@@ -42,12 +42,13 @@ KEYS = (
     "friction.stribeck_asymmetric",
     "gravity.sine",
     "gravity.sine_for_stiffness",
+    "stiffness.preloaded",
     "backlash.dead_zone_spring",
     "backlash.play",
     "backlash.load",
     "cogging.position",
     "cogging.position.another",
-    *(f"magnetic_force.{law}.{way}" for law in ("i2_y2", "i1_y4", "i2_y4")
+    *(f"magnetic_force.{law}.{way}" for law in ("i2_y2", "i1_y4", "i2_y4", "differential")
       for way in ("opens", "closes")),
     "actuator.squared",
     "actuator.quadratic",
@@ -117,12 +118,14 @@ def test_gravity_needs_an_angle():
 # Equations, written again. Each returns the force on the DOF or the addition to the command.
 
 
-def around_rows(law):
-    """Return what the means of a law of the speed around rows tell of it at the rows (N,)."""
+def around_rows(law, motion=None):
+    """Return what the means of a law of the speed (or of a motion, a function of time) around rows
+    tell of it at the rows (N,)."""
     s = moving()
-    speed = CubicHermiteSpline(s.time_s, s.qd[:, 0], s.qdd[:, 0])
+    if motion is None:
+        motion = CubicHermiteSpline(s.time_s, s.qd[:, 0], s.qdd[:, 0])
     inside = (np.arange(100) + 0.5) / 100
-    fine = law(speed(s.time_s[:-1, None] + TS * inside))
+    fine = law(motion(s.time_s[:-1, None] + TS * inside))
     before, behind = fine[:, :50].mean(axis=1), fine[:, 50:].mean(axis=1)
     means = 0.5 * (np.append(before, behind[-1]) + np.append(before[0], behind))
     # A wave's mean over a row is smaller than the wave.
@@ -140,6 +143,12 @@ def stribeck(q, v, F, friction, peak, asymmetry, v_s, turn):
         return level * direction + asymmetry * direction**2
 
     return -around_rows(law)
+
+
+def preloaded(q, v, F, P, q0, width):
+    s = moving()
+    position = CubicHermiteSpline(s.time_s, s.q[:, 0], s.qd[:, 0])
+    return -P * around_rows(lambda q: np.clip((q - q0) / width, -1.0, 1.0), position)
 
 
 def dead_zone_spring(q, v, F, k, q0, half):
@@ -184,14 +193,27 @@ def acting(F):
 
 
 def magnet(current: int, gap: int, way: float) -> Law:
+    def full(i, y, c, y0, i0):
+        # The mean command is negative: a more negative command is a larger current.
+        return c * ((i0 - i) / i0) ** current * (y0 / (y0 + way * y)) ** gap
+
+    return beyond_linear(full)
+
+
+def two_magnets(way: float) -> Law:
+    def full(i, y, c, y0, i0):
+        first, second = ((i0 + s * i) / i0 * y0 / (y0 + s * way * y) for s in (1.0, -1.0))
+        return c / 4.0 * (first**2 - second**2)
+
+    return beyond_linear(full)
+
+
+def beyond_linear(force) -> Law:
     def law(q, v, F, *values):
-        at_q, at_F = working_point(f"magnetic_force.i{current}_y{gap}.opens")
+        at_q, at_F = working_point("magnetic_force.i2_y2.opens")
 
         def full(q, F):
-            c, y0, i0 = values
-            # The mean command is negative: a more negative command is a larger current.
-            ratio = (i0 - (F - at_F)) / i0
-            return c * ratio**current * (y0 / (y0 + way * (q - at_q))) ** gap
+            return force(F - at_F, q - at_q, *values)
 
         h = 1e-5
         by_q = (full(at_q + h, at_F) - full(at_q - h, at_F)) / (2 * h)
@@ -228,6 +250,7 @@ LAWS: dict[str, Law] = {
     "gravity.sine_for_stiffness": lambda q, v, F, k_s, k_c, k: (
         k * q - k_s * np.sin(q) - k_c * np.cos(q)
     ),
+    "stiffness.preloaded": preloaded,
     "backlash.dead_zone_spring": dead_zone_spring,
     "backlash.play": play,
     "backlash.load": load,
@@ -238,6 +261,8 @@ LAWS: dict[str, Law] = {
         for a, b in ((2, 2), (1, 4), (2, 4))
         for way, sign in (("opens", 1.0), ("closes", -1.0))
     },
+    "magnetic_force.differential.opens": two_magnets(1.0),
+    "magnetic_force.differential.closes": two_magnets(-1.0),
     "actuator.squared": lambda q, v, F, a: a * np.sign(F) * F**2,
     "actuator.quadratic": lambda q, v, F, a: a * (F - mean_command("actuator.quadratic")) ** 2,
     "actuator.cubic": lambda q, v, F, a: a * F**3,
@@ -267,7 +292,7 @@ def test_term_is_the_equation_along_a_trajectory(key: str):
         # came a little otherwise.
         assert np.linalg.norm(found[:, 0] - expected) < 0.05 * np.linalg.norm(expected)
         return
-    if key.startswith("friction.") or key == "actuator.times_speed":
+    if key.startswith("friction.") or key in {"actuator.times_speed", "stiffness.preloaded"}:
         # In a quarter of a row the speed is linear, and a Stribeck peak is that in its middle. A
         # held command has the product's mean and moment, the reference its mean.
         np.testing.assert_allclose(found[:, 0], expected, atol=2e-3 * np.abs(expected).max())

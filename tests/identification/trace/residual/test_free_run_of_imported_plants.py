@@ -101,6 +101,15 @@ def magnet(c: float, y0: float, i0: float, sign: float, a: int, b: int) -> Added
     return added
 
 
+def two_magnets(c: float, y0: float, i0: float, sign: float) -> Added:
+    def added(q: float, _v: float, u: float) -> float:
+        x, r = sign * q / y0, u / i0
+        pulls = ((1 + r) / (1 + x)) ** 2 - ((1 - r) / (1 - x)) ** 2
+        return c * (pulls / 4 - r + x)
+
+    return added
+
+
 def stribeck(_q: float, v: float, _u: float) -> float:
     s = np.tanh(v / 0.5)
     return float(-(0.2 + 0.3 * np.exp(-((v / 1.0) ** 2)) + 0.1 * s) * s)
@@ -162,6 +171,17 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
     ),
     "magnetic_force.i1_y4.closes[0,0]": (
         (1.0,), (3.0, 5.0), lambda: magnet(1.0, 3.0, 5.0, -1.0, 1, 4),
+    ),
+    "magnetic_force.differential.opens[0,0]": (
+        (1.0,), (2.5, 20.0), lambda: two_magnets(1.0, 2.5, 20.0, 1.0),
+    ),
+    "magnetic_force.differential.closes[0,0]": (
+        (1.0,), (2.5, 20.0), lambda: two_magnets(1.0, 2.5, 20.0, -1.0),
+    ),
+    "stiffness.preloaded": (
+        (0.5,), (0.05, 0.02), lambda: lambda q, v, u: (
+            -0.5 * min(max((q - 0.05) / 0.02, -1.0), 1.0)
+        ),
     ),
     "actuator.squared": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * abs(u)),
     "actuator.quadratic": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * u),

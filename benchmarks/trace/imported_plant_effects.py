@@ -262,6 +262,7 @@ def _numbers(
     seconds, middle = len(plain.u) * plant.Ts_s, _middle_hz(plant, plain, dof)
     value = {name: number for name, (number, _) in plant.parameters.items()}
     mass = value[next(iter(value))]
+    gap = q * (7.0 + 10.0 * share)
     b, k, weight = plant.gain.max(), value.get("k", 1.0), 9.81 * mass
     start = {
         Kind.COULOMB: (tenth, v),
@@ -281,7 +282,7 @@ def _numbers(
             0.05 * mass, middle * rng.uniform(0.5, 1.2), rng.uniform(0.01, 0.05)
         ),
         Kind.MAGNET: (weight, 2.0 * weight / b, -2.0 * weight / k),
-        Kind.BEARING: (2.0 * weight, 2.0 * weight / b, -2.0 * weight / k),
+        Kind.BEARING: (-k * gap, -k * gap / b, gap),
         Kind.PRELOAD: (tenth, 0.5 * stop, 0.1 * share * q),
         Kind.SQUARED: (0.1 / u,),
         Kind.CUBED: (0.03 / u**2,),

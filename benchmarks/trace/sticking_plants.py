@@ -54,7 +54,14 @@ class Stage:
                 slows = 0.5 * h * (self.d + self.drag * abs(v)) / self.m
                 push = h * (acting - copysign(level, v or acting)) / self.m
                 after = ((1.0 - slows) * v + push) / (1.0 + slows)
-                v = 0.0 if level and v * after < 0.0 else after
+                if level and v * after < 0.0:
+                    # It stops within the step, and moves on if more than friction acts.
+                    rest = after / (after - v)
+                    x -= 0.5 * h * v * rest
+                    more = max(abs(acting) - level, 0.0)
+                    after = copysign(rest * h * more / self.m, acting)
+                    x += 0.5 * h * after * (rest - 1.0)
+                v = after
                 x += 0.5 * h * v
         return u, y + np.random.default_rng(seed).normal(0.0, 3e-7, y.shape)
 

@@ -13,6 +13,7 @@ Dahl friction is rounded.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -59,7 +60,10 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "backlash",
                 (dof,),
                 "force = -k (q - q0 - clip(q - q0, -half, half)) - c q' where |q - q0| > half",
-                (*stiffness, Quantity("c", f"{places.force_unit(i)} s/{unit}", 0.0)),
+                (
+                    replace(stiffness[0], another_below=True),
+                    Quantity("c", f"{places.force_unit(i)} s/{unit}", 0.0),
+                ),
                 partial(_dead_zone_contact, dof=i),
                 (Quantity("q0", unit, middle - wide, middle + wide), half),
                 tuple((middle + m * wide, gap * reach) for m in _MIDDLES for gap in _GAPS),

@@ -267,7 +267,8 @@ class Quantity:
     another_above: float = np.inf
     """Value above which another law is meant, though this one is defined there."""
     another_below: bool = False
-    """Whether another law begins at `low`, so that a fit which ends there looks for that one."""
+    """Whether another law begins at `low`, so that a fit which ends there looks for that one. Of an
+    amplitude: whether without it nothing is left of what the law is named after."""
     corner: bool = False
     """Whether it is the frequency of a filter of commands: far above what records resolve, such a
     filter still makes them late."""
@@ -380,6 +381,12 @@ class Placed:
     def quantities(self) -> tuple[Quantity, ...]:
         """What its values are, in their order."""
         return (*self.effect.amplitudes, *self.effect.shape)
+
+    @property
+    def lacks_its_own_force(self) -> bool:
+        """Whether the force that its law is named after is zero, and only others are left."""
+        pairs = zip(self.effect.amplitudes, self.amplitudes, strict=True)
+        return any(q.another_below and value <= q.low for q, value in pairs)
 
     @property
     def freedom(self) -> Array:

@@ -171,7 +171,7 @@ def direction(signals: Signals, dof: int, v_s: float, peak: float = np.inf) -> A
 
 def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> list[Effect]:
     """Return sliding friction with one level for each direction."""
-    levels = (Quantity("friction", force, 0.0), Quantity("asymmetry", force))
+    levels = (Quantity("friction", force, 0.0, another_below=True), Quantity("asymmetry", force))
     absorbed = "asymmetry: the constant force while the DOF moves; at small amplitudes, damping"
     apart = "two amplitudes of excitation, with rests"
     return [

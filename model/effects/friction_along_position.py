@@ -40,7 +40,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "friction",
                 (dof,),
                 "force = -(friction + a sin(2 pi q / pitch) + b cos(2 pi q / pitch)) tanh(q'/v_s)",
-                (Quantity("friction", force, 0.0), Quantity("a", force), Quantity("b", force)),
+                (
+                    Quantity("friction", force, 0.0, another_below=True),
+                    Quantity("a", force),
+                    Quantity("b", force),
+                ),
                 partial(_along, dof=i),
                 (
                     turning_speed(unit, speed),

@@ -69,7 +69,12 @@ def magnetic_force_effect(
 ) -> Effect | None:
     """Return the magnetic force with a model file's key and location; None for other keys."""
     found = _KEY.fullmatch(key)
-    if found is None or found["law"] not in (*_LAWS, _DIFFERENTIAL) or found["way"] not in _SIGNS or places.beam:
+    if (
+        found is None
+        or found["law"] not in (*_LAWS, _DIFFERENTIAL)
+        or found["way"] not in _SIGNS
+        or places.beam
+    ):
         return None
     if len(where) != 2 or where[0] not in places.dof or where[1] not in places.actuators:
         return None
@@ -100,9 +105,7 @@ def _force(
     plus, minus = ("+", "-") if way == "opens" else ("-", "+")
     if law == _DIFFERENTIAL:
         name = f"Magnetic force of two magnets, gap of the first {way} with the position"
-        ratio = (
-            f"(((i0 + i) / (y0 {plus} y))^2 - ((i0 - i) / (y0 {minus} y))^2) (y0 / i0)^2 / 4"
-        )
+        ratio = f"(((i0 + i) / (y0 {plus} y))^2 - ((i0 - i) / (y0 {minus} y))^2) (y0 / i0)^2 / 4"
         build = partial(_of_two_magnets, dof=dof, coil=coil, sign=_SIGNS[way], at=at)
     else:
         a, b = _LAWS[law]

@@ -5,12 +5,12 @@ and Brennan, *The Duffing Equation*, 2011). The force of buckled rods differs be
 downward deflection; a quadratic part describes this. The force of a one-sided contact has a kink
 over the deflection (Shaw and Holmes 1983). A spring that is preloaded against a stop to both sides
 returns to the middle with a force that jumps there, as that of a throttle valve at its limp-home
-position (Deur et al., *An electronic throttle control strategy*, 2004). Rubber and polymers creep: a spring in series with a
-damper, beside the declared one, is soft when slow and stiff when fast (Lakes, *Viscoelastic
-Materials*, 2009, ch. 2). Signature: a force that depends on the pose only, not on
-the speed; the cubic part responds at odd lines of a multisine, the quadratic part at even lines and
-in the mean. A sensor's nonlinearity instead looks like a force that grows with frequency squared,
-and also appears in the non-rigid part of the readings.
+position (Deur et al., *An electronic throttle control strategy*, 2004). Rubber and polymers creep:
+a spring in series with a damper, beside the declared one, is soft when slow and stiff when fast
+(Lakes, *Viscoelastic Materials*, 2009, ch. 2). Signature: a force that depends on the pose only,
+not on the speed; the cubic part responds at odd lines of a multisine, the quadratic part at even
+lines and in the mean. A sensor's nonlinearity instead looks like a force that grows with frequency
+squared, and also appears in the non-rigid part of the readings.
 """
 
 from __future__ import annotations

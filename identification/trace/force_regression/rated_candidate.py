@@ -109,7 +109,7 @@ def rate(
     found = []
     for _, effect, shape in screened[: options.fitted]:
         placed = fitted_candidate(rest, effect, shape, options.told_from_model)
-        if placed is not None:
+        if placed is not None and not placed.lacks_its_own_force:
             found.append(rated_beside(whole, rest, placed, instead_of))
     return sorted(found, key=by_gain)
 

@@ -453,3 +453,19 @@ def test_pitches_are_dense_enough():
     assert np.diff(over).max() <= 0.5 + 1e-9
     # Shorter ones are lines of the force over the position.
     assert pitches[pitches < 0.999 * travel / 20].tolist() == [0.013]
+
+
+@pytest.mark.parametrize(
+    ("key", "amplitudes", "lacks"),
+    [
+        ("friction.coulomb_asymmetric", (0.0, 1.0), True),  # pushes in one direction
+        ("friction.coulomb_asymmetric", (0.1, 1.0), False),
+        ("friction.stribeck_asymmetric", (0.0, 1.0, 0.0), True),
+        ("backlash.dead_zone_spring", (0.0,), False),  # has no other force than that of the gap
+    ],
+)
+def test_a_law_without_the_force_that_it_is_named_after(
+    key: str, amplitudes: tuple[float, ...], lacks: bool
+) -> None:
+    effect = table()[key]
+    assert Placed(effect, effect.grid[0], amplitudes).lacks_its_own_force == lacks

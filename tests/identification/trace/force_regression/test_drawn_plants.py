@@ -23,6 +23,8 @@ from levid.model.effects.candidate_effects import all_effects
         ("drive", "quantised", 700_000),  # 33 levels
         ("drive", "force_ripple", 700_000),
         ("pendulum", "uneven_friction", 700_000),  # its period is longer than the travel
+        ("pendulum", "preload", 900_001),
+        ("levitation", "bearing", 900_005),
         ("pendulum", "drift", 700_000),  # a law of heat with a long time constant is alike
     ],
 )

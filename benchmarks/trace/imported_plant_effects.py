@@ -104,6 +104,7 @@ LAWS = {
     "bearing": Law(
         Kind.BEARING, ("magnetic_force",), effect="magnetic_force.differential.closes"
     ),
+    "hysteresis": Law(Kind.HYSTERESIS, (_ACTUATOR,), True, "actuator.hysteresis"),
 }  # fmt: skip
 """Effects by name."""
 
@@ -112,6 +113,7 @@ _ANYWHERE = (
     "squared_actuator", "cubic_actuator", "force_with_speed", "dead_zone", "saturation",
     "quantised", "drift", "lag", "delay", "drag_15", "two_gains", "creep", "rate_limit",
     "second_order", "thinning_grease", "loaded_gear", "preload",
+    "hysteresis",
 )  # fmt: skip
 _RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction")
 _LONG = ("cogging", "force_ripple")
@@ -299,6 +301,7 @@ def _numbers(
         Kind.DELAY: (0.5 * plant.Ts_s,),
         Kind.THINNING: (3.0 * tenth / w, w * (0.1 + share)),
         Kind.LOADED_GEAR: (0.1, v),
+        Kind.HYSTERESIS: (0.2, (0.1 + share) * u),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))
 
@@ -313,7 +316,7 @@ def _most(kind: Kind, plant: Plant, plain: Motion, place: int) -> float:
         Kind.QUANTISED: 1.5 * u, Kind.DEAD_ZONE: u, Kind.SATURATION: 1.2 / u,
         Kind.DRIFT: 0.8 / seconds, Kind.LAG: 30.0 * plant.Ts_s, Kind.RIPPLE: 0.8,
         Kind.TWO_GAINS: 0.5, Kind.LOADED_GEAR: 0.6, Kind.SECOND_ORDER: 10.0 * plant.Ts_s,
-        Kind.THINNING: damping,
+        Kind.THINNING: damping, Kind.HYSTERESIS: 0.8,
         Kind.SLEWED: 1.0 / (np.pi * _middle_hz(plant, plain, dof) * u),
     }.get(kind, np.inf)  # fmt: skip
 

@@ -56,6 +56,7 @@ class Kind(IntEnum):
     LOADED_GEAR = 30  # F = u - s |u| tanh(w / v)
     PRELOAD = 31  # -s clip((q - q0) / width, -1, 1)
     BEARING = 32  # s (((1 + i)^2 / (1 - x)^2 - (1 - i)^2 / (1 + x)^2) / 4 - i - x), as MAGNET
+    HYSTERESIS = 33  # F = u - s (u - p), p follows u at most half away
 
 
 _FORCES_ON_DOF = (Kind.THINNING, Kind.PRELOAD)
@@ -102,8 +103,8 @@ class Acting(NamedTuple):
 def simulated(plant: Linear, v: Array, rng: np.random.Generator, *effects: Acting) -> Motion:
     """Return the motion for reference signals v (N, m) of a plant that starts at rest.
 
-    Effects of one input act in their order. One of a lag, a creep and a slew has a state, and one
-    of a mass on a spring and a second-order lag.
+    Effects of one input act in their order. One of a lag, a creep, a play and a slew has a
+    state, and one of a mass on a spring and a second-order lag.
     """
     n = len(plant.M)
     noise = plant.noise * rng.normal(size=(len(v), n))
@@ -213,6 +214,11 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
                     elif kind == Kind.LAG:
                         lag_rate = (F[place] - lag_mid) / s[0]
                         F[place] = lag_mid
+                    elif kind == Kind.HYSTERESIS:
+                        # The command is held, so that the play moves at once.
+                        there = min(max(lag_mid, F[place] - s[1]), F[place] + s[1])
+                        lag_rate = (there - lagged) / h
+                        F[place] -= s[0] * (F[place] - there)
                     elif kind == Kind.SLEWED:
                         left, most = F[place] - lag_mid, 1.0 / s[0]
                         lag_rate = min(max(left / h, -most), most)

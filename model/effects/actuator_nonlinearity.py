@@ -1,4 +1,4 @@
-"""Static nonlinearity of an actuator: squared, cubic, asymmetric, falling with speed, quantised.
+"""Nonlinearity of an actuator: squared, cubic, asymmetric, with speed, quantised, hysteresis.
 
 A valve, a propeller or a fan gives a force proportional to the square of its command, with its sign
 (Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2011, ch. 9); an actuator of
@@ -6,10 +6,13 @@ one direction has a square without a sign, and a cylinder with one rod another g
 direction (Merritt, *Hydraulic Control Systems*, 1967). The force of a motor at its voltage limit
 and of a pump falls with the speed, in proportion to the command. A back-EMF alone gives a force
 proportional to the speed; the declared damping contains it. A converter with few bits rounds the
-command. All of these act on the command before delay, hold and lag. Signature: a force error that
+command. The force of a piezo stack at its voltage, and of iron at its current, depends on where the
+command came from: a sum of play operators of several widths (Kuhnen, *Modeling, identification and
+compensation of complex hysteretic nonlinearities*, European Journal of Control 9, 2003). All of
+these act on the command before delay, hold and lag. Signature: a force error that
 depends on the command of one actuator, equally at all frequencies, with harmonics at large
 amplitudes; even harmonics for the square without sign and the gains of two directions, odd ones for
-the others.
+the others. A hysteresis is late by the same angle at all frequencies.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
 from .force_units import per_unit
+from .lag_and_hysteresis_recursions import play
 from .operating_range import Extent
 from .point_force_conversion import times_speed
 
@@ -38,6 +42,10 @@ _POWERS = {
     "cubic": ("Cubic nonlinearity of an actuator", 3, "F^3"),
     "asymmetric": ("Actuator with another gain in each direction", 1, "|F|"),
 }
+_ELEMENTS = (1.0, 3.0, 9.0)
+"""Half widths of the play operators, relative to the smallest."""
+_HALVES, _HALF_BOUNDS = (0.01, 0.05), (1e-3, 0.3)
+"""Start values and bounds of the smallest half width, over the largest command."""
 _KEY = re.compile(r"actuator\.quadratic(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?")
 _LINEAR = "the part linear around the mean command: gain; the mean: constant force"
 
@@ -89,6 +97,23 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 shape_of_unit_amplitude=_whole_step,
             )
         )
+        least, most = (share * largest for share in _HALF_BOUNDS)
+        found.append(
+            Effect(
+                "actuator.hysteresis",
+                "Hysteresis of an actuator",
+                "actuator_nonlinearity",
+                where,
+                "force = F - sum of a_j (F - p_j), p_j follows F at most r_j away; "
+                "r_j = r, 3 r, 9 r",
+                tuple(Quantity(f"a_{j + 1}", "1", 0.0) for j in range(len(_ELEMENTS))),
+                partial(_hysteresis, coil=c),
+                (Quantity("r", unit, least, most, log=True),),
+                tuple((share * largest,) for share in _HALVES),
+                absorbed_by="without play: gain; with full play: constant force",
+                told_apart_by="several amplitudes of a slow excitation, and a fast one",
+            )
+        )
     return found
 
 
@@ -136,6 +161,12 @@ def _times_speed(signals: Signals, _shape: Sequence[float], *, coil: int) -> lis
 def _quantised(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
     F = signals.coil[:, coil]
     return [on_coil(signals, coil, np.round(F / shape[0]) * shape[0] - F)]
+
+
+def _hysteresis(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
+    F = signals.coil[:, coil]
+    plays = (play(F, shape[0] * ratio, signals.Ts_s) for ratio in _ELEMENTS)
+    return [on_coil(signals, coil, one - F) for one in plays]
 
 
 def _whole_step(_depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:

@@ -192,6 +192,7 @@ _CLAUSES = {
     "actuator.squared": "a part of the force of {at} is the square of its command",
     "actuator.quadratic": "a part of the force of {at} is the square of its command",
     "actuator.cubic": "a part of the force of {at} is the cube of its command",
+    "actuator.hysteresis": "the force of {at} depends on where its command came from (hysteresis)",
     "actuator.": "the force of {at} is not proportional to its command",
     "reading.eccentric": "the encoder of {at} is eccentric",
     "reading.lag": "the reading of {at} lags by {lag}",

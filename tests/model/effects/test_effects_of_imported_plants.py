@@ -55,6 +55,7 @@ KEYS = (
     "actuator.cubic",
     "actuator.times_speed",
     "actuator.quantised",
+    "actuator.hysteresis",
     "actuator.squared_after_lag",
     "actuator.quadratic_after_lag",
 )  # fmt: skip
@@ -165,6 +166,13 @@ def play(q, v, F, k, half):
     return -k * (q - np.array(output[4000:]))
 
 
+def hysteresis(q, v, F, *numbers):
+    """Return what play operators of three widths leave of a command that came before the record."""
+    *shares, r = numbers
+    ratios = (1.0, 3.0, 9.0)
+    return sum(play(F, v, F, s, ratio * r) for s, ratio in zip(shares, ratios, strict=True))
+
+
 def load(q, v, F, m, frequency, damping, half, slowing):
     """Return the force of a load behind a gap, on a path of cubic splines."""
     path, w = CubicHermiteSpline(np.arange(len(q)) * TS, q, v), 2 * np.pi * frequency
@@ -270,6 +278,7 @@ LAWS: dict[str, Law] = {
     "actuator.quantised": lambda q, v, F, depth, step: (
         depth * (np.floor(F / step + 0.5) * step - F)
     ),
+    "actuator.hysteresis": hysteresis,
     "actuator.squared_after_lag": lambda q, v, F, a: a * np.sign(F) * F**2,  # of a model without
     "actuator.quadratic_after_lag": lambda q, v, F, a: (
         a * (F - mean_command("actuator.quadratic_after_lag")) ** 2

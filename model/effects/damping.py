@@ -13,7 +13,7 @@ and speed of eddy current brake with widely separated soft iron poles*, IEE Proc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import combinations
 
@@ -22,10 +22,11 @@ import numpy as np
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .operating_range import Extent
 from .point_force_conversion import forces, heights
+from .speed_between_rows import at_rows, means_of_parts, speeds_between_rows
 
 _SMALLEST_M = 1e-3
 """The end stops are at 0.9 mm: the film at the working point is at least as thick."""
-_SPEEDS = (0.1, 10.0)
+_SPEEDS = (0.03, 10.0)
 """Range of the speed at which damping has halved, over the RMS speed: below it is dry friction, and
 above it is linear damping."""
 
@@ -200,13 +201,43 @@ def _falling(places: Places, extent: Extent) -> list[Effect]:
 
 
 def _thinning(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    qd = signals.qd[:, dof]
-    return [on_dof(signals, dof, -qd / (1.0 + np.abs(qd) / shape[0]))]
+    return [on_dof(signals, dof, -_around_rows(signals, dof, shape[0], _thin, _thin_integral))]
+
+
+def _thin(ratio: Array) -> Array:
+    return np.asarray(ratio / (1.0 + np.abs(ratio)))
+
+
+def _thin_integral(ratio: Array) -> Array:
+    size = np.abs(ratio)
+    return np.asarray(size - np.log1p(size))
 
 
 def _eddy_currents(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    qd = signals.qd[:, dof]
-    return [on_dof(signals, dof, -qd / (1.0 + (qd / shape[0]) ** 2))]
+    force = _around_rows(signals, dof, shape[0], _eddy, _eddy_integral)
+    return [on_dof(signals, dof, -force)]
+
+
+def _eddy(ratio: Array) -> Array:
+    return np.asarray(ratio / (1.0 + ratio**2))
+
+
+def _eddy_integral(ratio: Array) -> Array:
+    return np.asarray(0.5 * np.log1p(ratio**2))
+
+
+def _around_rows(
+    signals: Signals,
+    dof: int,
+    v_0: float,
+    law: Callable[[Array], Array],
+    integral: Callable[[Array], Array],
+) -> Array:
+    """Return v_0 times a law of the speed over v_0 (N,), which may turn within a row."""
+    if not signals.around_rows:
+        return np.asarray(v_0 * law(signals.qd[:, dof] / v_0))
+    ratio = speeds_between_rows(signals, dof) / v_0
+    return np.asarray(v_0 * at_rows(means_of_parts(ratio, law, integral)))
 
 
 def _coupled(signals: Signals, _shape: Sequence[float], *, pair: tuple[int, int]) -> list[Term]:

@@ -210,11 +210,26 @@ def velocity_limit(experiment: Experiment, sd: Array) -> float:
     Below it noise is 1 % of the RMS of the velocity, or what is added to the velocity is more than
     its noise: a velocity that lacks what is above is wrong by that. It is 0.4 of the rate at most.
     """
-    freq_hz, power, noise = _derivative_spectra(experiment, sd, 1)
-    # What is left out and the noise that is let in are least together, as by Wiener's filter.
-    best = np.argmax(np.cumsum(power - 2.0 * noise, axis=0), axis=0)
-    found = max(float(freq_hz[best.min()]), quiet_velocity_limit(experiment, sd))
+    found = max(_worth_its_noise(experiment, sd, 1), quiet_velocity_limit(experiment, sd))
     return min(found, _WIDEST / experiment.Ts_s)
+
+
+def position_limit(experiment: Experiment, sd: Array) -> float:
+    """Return the frequency in Hz up to which every position is worth its noise.
+
+    What is added to the position is more than its noise. It is 0.4 of the rate at most.
+    """
+    return min(_worth_its_noise(experiment, sd, 0), _WIDEST / experiment.Ts_s)
+
+
+def _worth_its_noise(experiment: Experiment, sd: Array, order: int) -> float:
+    """Return the frequency in Hz up to which every derivative of an order is worth its noise.
+
+    What is left out and the noise that is let in are least together, as by Wiener's filter.
+    """
+    freq_hz, power, noise = _derivative_spectra(experiment, sd, order)
+    best = np.argmax(np.cumsum(power - 2.0 * noise, axis=0), axis=0)
+    return float(freq_hz[best.min()])
 
 
 def _derivative_limit(experiment: Experiment, sd: Array, order: int, share: float) -> float:

@@ -22,7 +22,11 @@ from ....model.effects.actuator_chain import beside, passed_on, reaching
 from ....model.effects.base import Effect, Placed, Signals, Term
 from ....model.second_order import SecondOrder
 from ...greybox.experiment.intersample_input import Hold
-from ...greybox.force_balance.band_limited_signals import BandLimited, quiet_velocity_limit
+from ...greybox.force_balance.band_limited_signals import (
+    BandLimited,
+    position_limit,
+    quiet_velocity_limit,
+)
 from ...greybox.free_parameters import FreeParameters
 from ..records.record_from_log import TraceRecord
 from ..search_options import SearchOptions
@@ -77,10 +81,11 @@ class ForceRecord:
     moves (rows, n): whether a DOF moves, 1 or 0; where it rests, all forces are 0. noise_sd (n,):
     of the outputs.
 
-    signals: below a limit of their own, from which the forces of effects are computed. A law is not
-    linear: of signals below the limit of the balance it would be a force that nothing has. What it
-    gives passes the low-pass of the balance as all other forces do. So it is with matrices that
-    move with a schedule: times a signal they are not linear either.
+    signals: below limits of their own, from which the forces of effects are computed: positions,
+    and velocities with accelerations, up to where each are worth their noise. A law is not linear:
+    of signals below the limit of the balance it would be a force that nothing has. What it gives
+    passes the low-pass of the balance as all other forces do. So it is with matrices that move with
+    a schedule: times a signal they are not linear either.
 
     schedule: scheduling variables (N,) by name if they move. multiplied: the record below the limit
     of the signals that matrices are multiplied with, at all rows if a schedule moves.
@@ -114,6 +119,10 @@ class ForceRecord:
         band = BandLimited.of(e, hold, cutoff_hz, _OVERSAMPLED)
         law = BandLimited.of(e, hold, law_hz, _OVERSAMPLED)
         q, qd, qdd = law.derivatives[:-1]
+        # Beyond the limit of velocities there is position above its noise: most of it after a step.
+        place_hz = position_limit(e, sd)
+        if place_hz > law_hz:
+            q = BandLimited.of(e, hold, place_hz, _OVERSAMPLED).derivatives[0]
         every_row = replace(law, kept=slice(0, len(q), 1))
         none = np.zeros(len(q))
         signals = Signals(

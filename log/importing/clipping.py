@@ -23,9 +23,10 @@ _MOSTLY = 0.5
 """Share of the rows away from a level that repeat the row before in a signal of steps. A signal of
 few bits repeats some, but not most."""
 _STEP, _HALTED = 2, 0.5
-"""A reading is cut off, or a motion halted, in the middle of it: before it rests at a level it
+"""A reading is cut off in the middle of a motion: before it rests at a level and after it, it
 changes by half of what it does in the mean, at least. That is measured over a time in which it
-changes by so many bins; noise changes it by less. A move that ends at rest is slow there."""
+changes by so many bins; noise changes it by less. A move that ends at rest, or begins there, is
+slow."""
 
 
 @dataclass(frozen=True)
@@ -103,16 +104,19 @@ def _rests_elsewhere(values: Array, at_level: NDArray[np.bool_]) -> bool:
 
 
 def _in_full_motion(values: Array, at_level: NDArray[np.bool_], change: float) -> bool:
-    """Return whether values arrive at a level about as fast as they move elsewhere."""
+    """Return whether values arrive at a level, and leave it, about as fast as they move elsewhere.
+
+    What begins at rest at a level never arrives there, and what ends at rest does not leave it.
+    """
     lag = 1
     while lag < len(values) // 2 and _rms(values[lag:] - values[:-lag]) < change:
         lag *= 2
-    arrives = np.flatnonzero(~at_level[:-1] & at_level[1:]) + 1
-    arrives = arrives[arrives >= lag]
-    if not len(arrives):
-        return True
-    steps = np.abs(values[arrives] - values[arrives - lag])
-    return bool(np.median(steps) > _HALTED * _rms(values[lag:] - values[:-lag]))
+    changes = np.abs(values[lag:] - values[:-lag])
+    arrives = np.flatnonzero(~at_level[:-1] & at_level[1:]) + 1 - lag
+    leaves = np.flatnonzero(at_level[:-1] & ~at_level[1:])
+    steps = [changes[arrives[arrives >= 0]], changes[leaves[leaves < len(changes)]]]
+    slowest = min(np.median(each) if len(each) else 0.0 for each in steps)
+    return bool(slowest > _HALTED * _rms(changes))
 
 
 def _rms(values: Array) -> float:

@@ -85,3 +85,13 @@ def test_steps_of_many_sizes_are_not_clipped_at_the_largest() -> None:
     # A random signal that is cut off is, also where a converter of 8 bits reads it.
     cut = np.clip(np.convolve(rng.standard_normal(10_000), np.ones(20) / 5.0, "same"), -1.2, 1.2)
     assert len(clipped_levels(np.round(cut * 50.0) / 50.0)) == 2
+
+
+@pytest.mark.parametrize("begins", [True, False])
+def test_a_move_from_or_to_a_rest_at_the_end_of_its_range_is_not_cut_off(begins: bool) -> None:
+    rng, moving = np.random.default_rng(3), np.linspace(0.0, np.pi, 2000)
+    # It rests for 300 rows where it has its lowest value, and is in full motion at the other end.
+    path = np.concatenate([np.zeros(300), 1.0 - np.cos(moving), np.full(100, 1.9)])
+    path += 2e-5 * rng.normal(size=len(path))
+    values = path if begins else path[::-1]
+    assert [found.side for found in clipped_levels(values, halted=True)] == []

@@ -306,6 +306,8 @@ class Effect:
     shape_of_unit_amplitude: Reshape | None = None
     """Function of amplitudes and shape that returns the shape with about the same effect at
     amplitudes of 1, for effects whose textbook equation has no amplitude; else None."""
+    exact: bool = False
+    """Whether the equation is one of geometry, with no error of its own."""
     contains: Mapping[str, Callable[[Sequence[float]], tuple[float, ...]]] = field(
         default_factory=dict, compare=False
     )

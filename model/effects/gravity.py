@@ -47,6 +47,7 @@ def effects(places: Places) -> list[Effect]:
             absorbed_by="at small angles: the declared stiffness (the part linear in the angle) "
             "and the constant force",
             told_apart_by="motion over a large part of a revolution",
+            exact=True,
         )
         found += [
             gravity,

@@ -101,17 +101,23 @@ def rate(
         rest = Beside.of(replace(point, placed=others), training)
     screened = []
     for effect in candidates:
-        taken = [(taken_at(rest, effect, s, options.told_from_model), s) for s in effect.grid]
+        told = _told_share(effect, options)
+        taken = [(taken_at(rest, effect, s, told), s) for s in effect.grid]
         best = max(((t, s) for t, s in taken if t is not None), default=None)
         if best is not None:
             screened.append((best[0], effect, best[1]))
     screened.sort(key=lambda s: -s[0])
     found = []
     for _, effect, shape in screened[: options.fitted]:
-        placed = fitted_candidate(rest, effect, shape, options.told_from_model)
+        placed = fitted_candidate(rest, effect, shape, _told_share(effect, options))
         if placed is not None and not placed.lacks_its_own_force:
             found.append(rated_beside(whole, rest, placed, instead_of))
     return sorted(found, key=by_gain)
+
+
+def _told_share(effect: Effect, options: SearchOptions) -> float:
+    """Return the share of an effect's squared force that must remain beside the model's own."""
+    return options.told_exactly if effect.exact else options.told_from_model
 
 
 def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:

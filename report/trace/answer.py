@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...identification.trace.found_effects_summary import NOISE_MOST
+from ...identification.trace.search_options import SearchOptions
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.number_format import times_text
 from ..session.session_page import listed
@@ -128,21 +130,24 @@ def _rest_of_rig(result: Outcome) -> str:
 
 def _rest_of_imported(result: ForceOutcome) -> str:
     """Return a sentence on the missing force, before and after."""
-    changed, same = list[tuple[str, str]](), list[tuple[str, str]]()
+    less, more, same = list[tuple[str, str]](), list[tuple[str, str]](), list[tuple[str, str]]()
     of, several = " of the inputs' force", len(result.dof) > 1
     for i, name in enumerate(result.dof):
-        before, after = (f"{e.force_percent[i]:.3g}" for e in (result.before, result.after))
+        before, after = (float(e.force_percent[i]) for e in (result.before, result.after))
         at = f" at {symbol(name)}" if several else ""
-        if before == after:
-            same.append((f"{after} %", at))
+        if math.isclose(before, after, rel_tol=SearchOptions.accuracy):
+            same.append((f"{after:.3g} %", at))
         else:
-            changed.append((f"from {before} to {after} %", at))
+            changed = more if after > before else less
+            changed.append((f"from {before:.3g} to {after:.3g} %", at))
     lacks = "".join(f" {_sentence(clause)}" for clause in result.lacks)
     if result.laws:
         whole = [np.linalg.norm(e.force_percent) for e in (result.before, result.after)]
-        changes = "falls" if whole[1] < whole[0] else "does not fall:"
+        verbs = [("falls", less), ("rises", more), ("stays", same)]
+        if whole[1] >= whole[0]:
+            verbs = [("does not fall:", less + more), ("stays", same)]
         clauses: list[str] = []
-        for verb, some in ((changes, changed), ("stays", same)):
+        for verb, some in verbs:
             of_each = [of, *("" for _ in some[1:])] if not clauses else ["" for _ in some]
             texts = [share + own + at for (share, at), own in zip(some, of_each, strict=False)]
             clauses += [f"{verb} {', '.join(texts)}"] if texts else []

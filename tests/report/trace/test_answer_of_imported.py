@@ -1,0 +1,38 @@
+"""Test the sentence on the missing force of imported records."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from levid.report.trace.answer import _rest_of_imported
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ((20.0,), (0.5,), "falls from 20 to 0.5 % of the inputs' force."),
+        (
+            (0.12, 83.9), (0.1195, 0.213),
+            "falls from 83.9 to 0.213 % of the inputs' force at b and stays 0.119 % at a.",
+        ),
+        (
+            (13.8, 47.0), (14.2, 33.0),
+            "falls from 47 to 33 % of the inputs' force at b and rises from 13.8 to 14.2 % at a.",
+        ),
+        ((9.7,), (9.69,), "stays 9.69 % of the inputs' force."),
+        ((5.0,), (6.0,), "does not fall: from 5 to 6 % of the inputs' force."),
+    ],
+)  # fmt: skip
+def test_the_missing_force_of_each_dof_falls_stays_or_rises(
+    before: tuple[float, ...], after: tuple[float, ...], said: str
+) -> None:
+    result = SimpleNamespace(
+        dof=("a", "b")[: len(before)],
+        before=SimpleNamespace(force_percent=before),
+        after=SimpleNamespace(force_percent=after),
+        laws=("a law",),
+        lacks=(),
+    )
+    assert _rest_of_imported(result) == f"The missing force {said}"  # type: ignore[arg-type]

@@ -16,6 +16,7 @@ from .base import Effect, Places, Quantity, Signals, Term, on_coil
 from .point_force_conversion import forces, times_height
 
 _ONE_BY_ONE = "excitation of the coils one by one"
+_KNOWN = "a known force beside it, such as a weight"
 _MOST_GAIN = 3.0
 """Bound of the gain error: a dead coil has -1, a coil with reversed polarity -2."""
 _ALL = "same gain for all coils: mass, damping and stiffness by the same factor"
@@ -36,7 +37,7 @@ def effects(places: Places) -> list[Effect]:
                 (Quantity("gain", "1", -_MOST_GAIN, _MOST_GAIN),),
                 partial(_times_height, coils=(c,), power=0),
                 absorbed_by=places.worded(_ALL),
-                told_apart_by=places.worded(_ONE_BY_ONE),
+                told_apart_by=_KNOWN if places.coils == 1 else places.worded(_ONE_BY_ONE),
                 linear=not places.beam,
             )
         )

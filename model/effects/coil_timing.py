@@ -26,6 +26,7 @@ from .lag_and_hysteresis_recursions import lagged_mean, lagged_moment, resonant,
 from .operating_range import Extent
 
 _ONE_BY_ONE = "excitation of the coils one by one, up to high frequencies"
+_SECOND = "a second sensor or another source of force"
 _LAGS = "same for all coils: the declared lag; shorter than a period: delay"
 _DELAYS = "same for all coils: the declared delay; shorter than a period: lag"
 _LATE_S = 2e-3
@@ -59,7 +60,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 (Quantity("tail", "s", 1e-4, latest_s(places, extent), log=True),),
                 late_starts(places, extent),
                 absorbed_by=places.worded(_LAGS),
-                told_apart_by=places.worded(_ONE_BY_ONE),
+                told_apart_by=_SECOND if single else places.worded(_ONE_BY_ONE),
                 equal_numbers=("lag", "tail"),
                 same_if_linear=("reading.lag",) if single else (),
             ),
@@ -74,7 +75,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 (Quantity("back", "s", 1e-4, latest_s(places, extent), log=True),),
                 late_starts(places, extent),
                 absorbed_by=places.worded(_DELAYS),
-                told_apart_by=places.worded(_ONE_BY_ONE),
+                told_apart_by=_SECOND if single else places.worded(_ONE_BY_ONE),
                 equal_numbers=("delay", "back"),
                 same_if_linear=("reading.delay",) if single else (),
             ),

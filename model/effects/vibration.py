@@ -36,7 +36,9 @@ def tone(places: Places, f_hz: float) -> list[Effect]:
             frequency,
             grid,
             absorbed_by="without a line: force noise",
-            told_apart_by="still records, long compared with the line's period",
+            told_apart_by="still records, long compared with the line's period"
+            if places.beam
+            else "a second sensor, and records without a command",
         )
         for i, dof in enumerate(places.dof)
     ]
@@ -87,7 +89,7 @@ def _picked_up(
         partial(_reading, sensor=sensor),
         _frequency(f_hz),
         ((f_hz,),),
-        told_apart_by="still records",
+        told_apart_by="still records" if places.beam else "a second sensor",
     )
 
 

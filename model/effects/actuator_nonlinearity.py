@@ -44,8 +44,9 @@ _POWERS = {
 }
 _ELEMENTS = (1.0, 3.0, 9.0)
 """Half widths of the play operators, relative to the smallest."""
-_HALVES, _HALF_BOUNDS = (0.01, 0.05), (1e-3, 0.3)
-"""Start values and bounds of the smallest half width, over the largest command."""
+_HALVES, _HALF_BOUNDS = (0.03, 0.1), (1e-3, 0.15)
+"""Start values and bounds of the smallest half width, over the command's standard deviation. The
+widest play moves then for a sixth of the time: one that never moves is a gain."""
 _KEY = re.compile(r"actuator\.quadratic(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?")
 _LINEAR = "the part linear around the mean command: gain; the mean: constant force"
 
@@ -97,7 +98,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 shape_of_unit_amplitude=_whole_step,
             )
         )
-        least, most = (share * largest for share in _HALF_BOUNDS)
+        spread = extent.command_spread(c)
+        least, most = (share * spread for share in _HALF_BOUNDS)
         found.append(
             Effect(
                 "actuator.hysteresis",
@@ -109,7 +111,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 tuple(Quantity(f"a_{j + 1}", "1", 0.0) for j in range(len(_ELEMENTS))),
                 partial(_hysteresis, coil=c),
                 (Quantity("r", unit, least, most, log=True),),
-                tuple((share * largest,) for share in _HALVES),
+                tuple((share * spread,) for share in _HALVES),
                 absorbed_by="without play: gain; with full play: constant force",
                 told_apart_by="several amplitudes of a slow excitation, and a fast one",
             )

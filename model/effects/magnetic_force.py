@@ -97,7 +97,7 @@ def _force(
 ) -> Effect:
     force, unit, largest = places.force_unit(dof), places.dof_units[dof], extent.reach[dof]
     largest *= _EXCURSION
-    command = _EXCURSION * _spread(extent, coil)
+    command = _EXCURSION * extent.command_spread(coil)
     least, most = _GAP_BOUNDS
     y0 = Quantity("y0", unit, least * largest, most * largest, log=True)
     least, most = _CURRENT_BOUNDS
@@ -126,10 +126,6 @@ def _force(
         absorbed_by="the linear part: stiffness, gain and constant force",
         told_apart_by="excitation at several positions and mean commands",
     )
-
-
-def _spread(extent: Extent, coil: int) -> float:
-    return extent.commands[coil][1] if extent.commands else extent.command / _EXCURSION
 
 
 def _magnetic(

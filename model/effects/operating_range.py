@@ -18,6 +18,8 @@ TRAVEL = 4.0
 _TYPICAL_GAP = 3e-4
 _TYPICAL_HZ = 5.0
 _TYPICAL_COMMAND = 12.0
+_LARGEST = 3.0
+"""Largest command over its standard deviation."""
 _TYPICAL_BEAM_M = 0.2
 _TYPICAL_LATE_S = 2e-3
 _TYPICAL_HIGHEST_HZ = 100.0
@@ -81,6 +83,12 @@ class Extent:
         if not self.commands or abs(self.commands[coil][0]) < self.commands[coil][1]:
             return 0.0
         return self.commands[coil][0]
+
+    def command_spread(self, coil: int) -> float:
+        """Return the standard deviation of an actuator's command; of one that is constant or not
+        known a third of the largest command."""
+        found = self.commands[coil][1] if self.commands else 0.0
+        return found or self.largest_command((coil,)) / _LARGEST
 
     @property
     def highest_hz(self) -> float:

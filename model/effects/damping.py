@@ -13,16 +13,16 @@ and speed of eddy current brake with widely separated soft iron poles*, IEE Proc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from itertools import combinations
 
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .motion_between_rows import law_of_speed
 from .operating_range import Extent
 from .point_force_conversion import forces, heights
-from .speed_between_rows import at_rows, means_of_parts, speeds_between_rows
 
 _SMALLEST_M = 1e-3
 """The end stops are at 0.9 mm: the film at the working point is at least as thick."""
@@ -201,7 +201,8 @@ def _falling(places: Places, extent: Extent) -> list[Effect]:
 
 
 def _thinning(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    return [on_dof(signals, dof, -_around_rows(signals, dof, shape[0], _thin, _thin_integral))]
+    v_0 = shape[0]
+    return [on_dof(signals, dof, -v_0 * law_of_speed(signals, dof, v_0, _thin, _thin_integral))]
 
 
 def _thin(ratio: Array) -> Array:
@@ -214,8 +215,8 @@ def _thin_integral(ratio: Array) -> Array:
 
 
 def _eddy_currents(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    force = _around_rows(signals, dof, shape[0], _eddy, _eddy_integral)
-    return [on_dof(signals, dof, -force)]
+    v_0 = shape[0]
+    return [on_dof(signals, dof, -v_0 * law_of_speed(signals, dof, v_0, _eddy, _eddy_integral))]
 
 
 def _eddy(ratio: Array) -> Array:
@@ -224,20 +225,6 @@ def _eddy(ratio: Array) -> Array:
 
 def _eddy_integral(ratio: Array) -> Array:
     return np.asarray(0.5 * np.log1p(ratio**2))
-
-
-def _around_rows(
-    signals: Signals,
-    dof: int,
-    v_0: float,
-    law: Callable[[Array], Array],
-    integral: Callable[[Array], Array],
-) -> Array:
-    """Return v_0 times a law of the speed over v_0 (N,), which may turn within a row."""
-    if not signals.around_rows:
-        return np.asarray(v_0 * law(signals.qd[:, dof] / v_0))
-    ratio = speeds_between_rows(signals, dof) / v_0
-    return np.asarray(v_0 * at_rows(means_of_parts(ratio, law, integral)))
 
 
 def _coupled(signals: Signals, _shape: Sequence[float], *, pair: tuple[int, int]) -> list[Term]:

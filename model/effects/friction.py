@@ -23,8 +23,14 @@ import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import bouc_wen, dahl, lugre, slip
+from .motion_between_rows import (
+    at_rows,
+    law_of_speed,
+    means_of_parts,
+    middles,
+    speeds_between_rows,
+)
 from .operating_range import Extent
-from .speed_between_rows import at_rows, means_of_parts, middles, speeds_between_rows
 
 LAWS = tuple(
     f"friction.{law}"
@@ -159,14 +165,14 @@ def direction(signals: Signals, dof: int, v_s: float, peak: float = np.inf) -> A
     Friction that turns faster than the records are sampled would be known to a row only: where
     signals ask for it, this is what its means around the rows tell.
     """
+    if not np.isfinite(peak):
+        return law_of_speed(signals, dof, v_s, np.tanh, _ln_cosh)
     if not signals.around_rows:
         speed = signals.qd[:, dof]
         return np.asarray(np.tanh(speed / v_s) * np.exp(-((speed / peak) ** 2)))
     speed = speeds_between_rows(signals, dof)
     parts = means_of_parts(speed / v_s, np.tanh, _ln_cosh)
-    if np.isfinite(peak):
-        parts = parts * np.exp(-((middles(speed) / peak) ** 2))
-    return at_rows(parts)
+    return at_rows(parts * np.exp(-((middles(speed) / peak) ** 2)))
 
 
 def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> list[Effect]:
@@ -226,10 +232,7 @@ def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term
 
 def _turned_squared(signals: Signals, dof: int, v_s: float) -> Array:
     """Return the same of tanh(q' / v_s)^2, whose integral is x - tanh x."""
-    if not signals.around_rows:
-        return np.asarray(np.tanh(signals.qd[:, dof] / v_s) ** 2)
-    x = speeds_between_rows(signals, dof) / v_s
-    return at_rows(means_of_parts(x, lambda x: np.tanh(x) ** 2, lambda x: x - np.tanh(x)))
+    return law_of_speed(signals, dof, v_s, lambda x: np.tanh(x) ** 2, lambda x: x - np.tanh(x))
 
 
 def _ln_cosh(x: Array) -> Array:

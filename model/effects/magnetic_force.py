@@ -25,7 +25,7 @@ import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .lag_and_hysteresis_recursions import lagged_mean
-from .operating_range import Extent
+from .operating_range import EXCURSION, Extent
 
 _LAWS = {"i2_y2": (2, 2), "i1_y4": (1, 4), "i2_y4": (2, 4)}
 """Exponents of current and gap of each law."""
@@ -35,8 +35,6 @@ _SIGNS = {"opens": 1.0, "closes": -1.0}
 _KEY = re.compile(
     r"magnetic_force\.(?P<law>\w+)\.(?P<way>\w+)\[(?P<at>[0-9.e+-]+),(?P<command>[0-9.e+-]+)\]"
 )
-_EXCURSION = 3.0
-"""Largest excursion over the standard deviation, of position and command."""
 _GAPS, _GAP_BOUNDS = (1.5, 4.0), (1.2, 10.0)
 _CURRENTS, _CURRENT_BOUNDS = (0.7, 3.0), (0.1, 6.0)
 """Start values and bounds of y0 and i0, over the largest excursion of position and command.
@@ -96,8 +94,8 @@ def _force(
     at: tuple[float, float],
 ) -> Effect:
     force, unit, largest = places.force_unit(dof), places.dof_units[dof], extent.reach[dof]
-    largest *= _EXCURSION
-    command = _EXCURSION * extent.command_spread(coil)
+    largest *= EXCURSION
+    command = EXCURSION * extent.command_spread(coil)
     least, most = _GAP_BOUNDS
     y0 = Quantity("y0", unit, least * largest, most * largest, log=True)
     least, most = _CURRENT_BOUNDS

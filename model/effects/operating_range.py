@@ -18,8 +18,8 @@ TRAVEL = 4.0
 _TYPICAL_GAP = 3e-4
 _TYPICAL_HZ = 5.0
 _TYPICAL_COMMAND = 12.0
-_LARGEST = 3.0
-"""Largest command over its standard deviation."""
+EXCURSION = 3.0
+"""Largest excursion over the standard deviation, of positions and commands."""
 _TYPICAL_BEAM_M = 0.2
 _TYPICAL_LATE_S = 2e-3
 _TYPICAL_HIGHEST_HZ = 100.0
@@ -88,7 +88,7 @@ class Extent:
         """Return the standard deviation of an actuator's command; of one that is constant or not
         known a third of the largest command."""
         found = self.commands[coil][1] if self.commands else 0.0
-        return found or self.largest_command((coil,)) / _LARGEST
+        return found or self.largest_command((coil,)) / EXCURSION
 
     @property
     def highest_hz(self) -> float:

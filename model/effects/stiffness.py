@@ -23,9 +23,9 @@ import numpy as np
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .force_units import unit_power
 from .lag_and_hysteresis_recursions import lagged_motion
+from .motion_between_rows import at_rows, means_of_parts, positions_between_rows
 from .operating_range import Extent
 from .point_force_conversion import forces, heights
-from .speed_between_rows import at_rows, means_of_parts, positions_between_rows
 
 _WIDE = 3.0
 _CONTACTS = (-0.4, 0.0, 0.4)
@@ -147,6 +147,7 @@ def _one_sided(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Te
 
 
 def _preloaded(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    # Also in a free run: the jump may take less than a row.
     away = (positions_between_rows(signals, dof) - shape[0]) / shape[1]
     return [on_dof(signals, dof, -at_rows(means_of_parts(away, _clipped, _integral)))]
 

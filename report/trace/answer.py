@@ -130,28 +130,25 @@ def _rest_of_rig(result: Outcome) -> str:
 
 def _rest_of_imported(result: ForceOutcome) -> str:
     """Return a sentence on the missing force, before and after."""
-    less, more, same = list[tuple[str, str]](), list[tuple[str, str]](), list[tuple[str, str]]()
-    of, several = " of the inputs' force", len(result.dof) > 1
+    less, more, same = list[str](), list[str](), list[str]()
+    several = len(result.dof) > 1
     for i, name in enumerate(result.dof):
         before, after = (float(e.force_percent[i]) for e in (result.before, result.after))
         at = f" at {symbol(name)}" if several else ""
         if math.isclose(before, after, rel_tol=SearchOptions.accuracy):
-            same.append((f"{after:.3g} %", at))
+            same.append(f"{after:.3g} %{at}")
         else:
             changed = more if after > before else less
-            changed.append((f"from {before:.3g} to {after:.3g} %", at))
+            changed.append(f"from {before:.3g} to {after:.3g} %{at}")
     lacks = "".join(f" {_sentence(clause)}" for clause in result.lacks)
     if result.laws:
         whole = [np.linalg.norm(e.force_percent) for e in (result.before, result.after)]
         verbs = [("falls", less), ("rises", more), ("stays", same)]
         if whole[1] >= whole[0]:
             verbs = [("does not fall:", less + more), ("stays", same)]
-        clauses: list[str] = []
-        for verb, some in verbs:
-            of_each = [of, *("" for _ in some[1:])] if not clauses else ["" for _ in some]
-            texts = [share + own + at for (share, at), own in zip(some, of_each, strict=False)]
-            clauses += [f"{verb} {', '.join(texts)}"] if texts else []
-        return f"The missing force {' and '.join(clauses)}.{lacks}"
+        clauses = " and ".join(f"{verb} {', '.join(some)}" for verb, some in verbs if some)
+        once = clauses.replace(" %", " % of the inputs' force", 1)
+        return f"The missing force {once}.{lacks}"
     left = "; ".join(
         f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if several else "")
         for e, name in zip(result.after.force_percent, result.dof, strict=True)

@@ -113,6 +113,11 @@ class _Fit:
     rest: Array
 
 
+def told_share(effect: Effect, options: SearchOptions) -> float:
+    """Return the share of an effect's squared force that must remain beside the model's own."""
+    return options.told_exactly if effect.exact else options.told_from_model
+
+
 def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: float) -> float | None:
     """Return the squared error that an effect takes at a shape.
 

@@ -82,10 +82,10 @@ class ForceRecord:
     of the outputs.
 
     signals: below limits of their own, from which the forces of effects are computed: positions,
-    and velocities with accelerations, up to where each are worth their noise. A law is not linear:
-    of signals below the limit of the balance it would be a force that nothing has. What it gives
-    passes the low-pass of the balance as all other forces do. So it is with matrices that move with
-    a schedule: times a signal they are not linear either.
+    and velocities with accelerations, up to where each of the two is worth its noise. A law is not
+    linear: of signals below the limit of the balance it would be a force that nothing has. What it
+    gives passes the low-pass of the balance as all other forces do. So it is with matrices that
+    move with a schedule: times a signal they are not linear either.
 
     schedule: scheduling variables (N,) by name if they move. multiplied: the record below the limit
     of the signals that matrices are multiplied with, at all rows if a schedule moves.
@@ -119,10 +119,10 @@ class ForceRecord:
         band = BandLimited.of(e, hold, cutoff_hz, _OVERSAMPLED)
         law = BandLimited.of(e, hold, law_hz, _OVERSAMPLED)
         q, qd, qdd = law.derivatives[:-1]
-        # Beyond the limit of velocities there is position above its noise: most of it after a step.
-        place_hz = position_limit(e, sd)
-        if place_hz > law_hz:
-            q = BandLimited.of(e, hold, place_hz, _OVERSAMPLED).derivatives[0]
+        # Positions are above their noise farther up than velocities are.
+        position_hz = position_limit(e, sd)
+        if position_hz > law_hz:
+            q = BandLimited.of(e, hold, position_hz, _OVERSAMPLED).derivatives[0]
         every_row = replace(law, kept=slice(0, len(q), 1))
         none = np.zeros(len(q))
         signals = Signals(

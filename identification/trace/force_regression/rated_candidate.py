@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ....model.effects.base import Effect, Placed
 from ...rounding import TINY
 from ..search_options import SearchOptions
-from .candidate_fit import Beside, fitted_candidate, taken_at
+from .candidate_fit import Beside, fitted_candidate, taken_at, told_share
 from .force_record import ForceModel
 from .free_numbers import numbers_of
 from .held_out_gain import Gain, block_sums, gain_of
@@ -101,7 +101,7 @@ def rate(
         rest = Beside.of(replace(point, placed=others), training)
     screened = []
     for effect in candidates:
-        told = _told_share(effect, options)
+        told = told_share(effect, options)
         taken = [(taken_at(rest, effect, s, told), s) for s in effect.grid]
         best = max(((t, s) for t, s in taken if t is not None), default=None)
         if best is not None:
@@ -109,15 +109,10 @@ def rate(
     screened.sort(key=lambda s: -s[0])
     found = []
     for _, effect, shape in screened[: options.fitted]:
-        placed = fitted_candidate(rest, effect, shape, _told_share(effect, options))
+        placed = fitted_candidate(rest, effect, shape, told_share(effect, options))
         if placed is not None and not placed.lacks_its_own_force:
             found.append(rated_beside(whole, rest, placed, instead_of))
     return sorted(found, key=by_gain)
-
-
-def _told_share(effect: Effect, options: SearchOptions) -> float:
-    """Return the share of an effect's squared force that must remain beside the model's own."""
-    return options.told_exactly if effect.exact else options.told_from_model
 
 
 def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ....model.effects.base import Effect
 from ..search_options import SearchOptions
-from .candidate_fit import Beside, fitted_candidate
+from .candidate_fit import Beside, fitted_candidate, told_share
 from .certainty_of_effects import with_numbers
 from .compare_fitted_candidates import richer_matters
 from .force_record import ForceModel
@@ -96,7 +96,7 @@ def _as_good(
     options: SearchOptions,
 ) -> tuple[ForceModel, Rated] | None:
     """Return the model with a simpler law, fitted, and its rating; None if the richer one stays."""
-    placed = fitted_candidate(Beside.of(rest, training), law, shape, options.told_from_model)
+    placed = fitted_candidate(Beside.of(rest, training), law, shape, told_share(law, options))
     if placed is None:
         return None
     simple = training.fit(replace(rest, placed=(*rest.placed, placed)))

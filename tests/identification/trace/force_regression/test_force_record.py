@@ -11,6 +11,7 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.greybox.force_balance.band_limited_signals import BandLimited
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.trace.force_regression.force_record import ForceModel, ForceRecord
 from levid.identification.trace.records.record_from_log import imported_trace_record
@@ -76,3 +77,16 @@ def test_rows_of_a_dof_that_rests_count_where_asked() -> None:
 
 def test_a_linear_term_passes_the_low_pass_once_whatever_the_limit_of_laws_is() -> None:
     assert missing_share(LIMIT_HZ, linear=True) < 1e-9
+
+
+def test_laws_see_positions_beyond_the_limit_of_velocities() -> None:
+    """A step of the position is above its noise up to the Nyquist frequency, its speed is not."""
+    sd, rng = 1e-5, np.random.default_rng(5)
+    steps = np.repeat(rng.uniform(-0.01, 0.01, 40), 100)[:, None]
+    true = lfilter([0.7], [1.0, -0.3], steps, axis=0)
+    e = Experiment(
+        "r", 0.02, steps, true + sd * rng.normal(size=true.shape), {}, frozenset(), False
+    )
+    made = ForceRecord.of(imported_trace_record(e, CONFIG), "zoh", 1.0, 2.5, np.array([sd]))
+    narrow = BandLimited.of(e, "zoh", 2.5, 4.0).derivatives[0]
+    assert np.std(made.signals.q - true) < 0.2 * np.std(narrow - true)

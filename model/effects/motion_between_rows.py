@@ -48,6 +48,22 @@ def means_of_parts(
     )
 
 
+def law_of_speed(
+    signals: Signals,
+    dof: int,
+    v: float,
+    law: Callable[[Array], Array],
+    integral: Callable[[Array], Array],
+) -> Array:
+    """Return a law of the speed of a DOF over a speed v (N,), which may turn within a row.
+
+    Where signals ask for it, this is what its means around the rows tell.
+    """
+    if not signals.around_rows:
+        return law(signals.qd[:, dof] / v)
+    return at_rows(means_of_parts(speeds_between_rows(signals, dof) / v, law, integral))
+
+
 def middles(x: Array) -> Array:
     """Return the arguments (2 _PARTS, N - 1) in the middle of each part."""
     return np.asarray(0.5 * (x[1:] + x[:-1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..identification.records.record import IdentificationError
+from ..identification.trace.worker_processes import begin_imports
 from ..log.catalogue.results import RESULT
 from .html_table import Table
 from .model import (
@@ -52,13 +54,16 @@ def trace(
         IdentificationError: the logs cannot be traced.
         ImportError: `dask` is given, and the package distributed is not installed.
     """
+    imported = "signals.yaml" in session.steps[0].attachments
+    if not (imported or dask) and (workers or len(os.sched_getaffinity(0))) > 1:
+        begin_imports()
     from .trace_of_imported import trace_imported_logs
     from .trace_of_rig import trace_rig_logs
 
     report = progress or (lambda _what, _share: None)
     say = warn or partial(warnings.warn, stacklevel=4)
     config, file = _declared(session, model)
-    if "signals.yaml" in session.steps[0].attachments:
+    if imported:
         return trace_imported_logs(session, config, report)
     return trace_rig_logs(session, config, file, workers, dask, report, say)
 

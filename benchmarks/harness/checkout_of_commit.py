@@ -34,7 +34,9 @@ class Version:
             "XDG_STATE_HOME": str(self.folder / "state"),
             "MPLBACKEND": "agg",
         }
-        return os.environ | own
+        # Where Python is forbidden to keep bytecode, every worker would compile all packages anew.
+        inherited = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+        return inherited | own
 
     def levid(self, *arguments: str) -> str:
         """Return what a command of this version prints; exits with its message if it fails."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
@@ -151,8 +152,7 @@ def _trace(
     if {p.effect.identity for p in found.point.placed} == known:
         declared = found.point  # no effect was found: use the converged fit
     progress("simulating held-out records", options.share_done(options.most_effects + 1))
-    before = workers.map(partial(record_error, declared), logged.kept)
-    after = workers.map(partial(record_error, found.point), logged.kept)
+    before, after = logged.errors(declared), logged.errors(found.point)
     error, floor = pooled(after)
     shaken: tuple[RandomVibration, ...] = ()
     if not error <= options.explained * floor:
@@ -240,6 +240,7 @@ class _Logged:
     fitted: tuple[RecordSource, ...]
     kept: tuple[RecordSource, ...]
     parts: tuple[TraceRecord, ...]
+    _errors: dict[bytes, list[RecordError]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def sensor_shape(self) -> Array:
@@ -251,8 +252,15 @@ class _Logged:
     def noise_removed(self, point: WorkingPoint) -> Array:
         return np.concatenate(self.workers.map(partial(noise_removed, point), self.fitted))
 
+    def errors(self, point: WorkingPoint) -> Sequence[RecordError]:
+        """Return the free-run errors of the held-out records, kept for each point of a search."""
+        key = pickle.dumps(point)
+        if key not in self._errors:
+            self._errors[key] = self.workers.map(partial(record_error, point), self.kept)
+        return self._errors[key]
+
     def held_error(self, point: WorkingPoint) -> HeldError:
-        errors = self.workers.map(partial(record_error, point), self.kept)
+        errors = self.errors(point)
         error, floor = pooled(errors)
         return HeldError(error**2, floor**2, np.concatenate([e.blocks for e in errors]))
 

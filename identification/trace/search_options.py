@@ -18,9 +18,9 @@ class SearchOptions:
     but each also has to take `least_gain`, and to keep its sign in other records.
 
     least_gain: share of what noise does not explain that an effect must take to matter (0.1 is 5 %
-    of the RMS error): of the free-run error of held-out records, of which one step ahead its square
-    is enough; else of the errors that it is fitted to. Weights may not cost as much. From it follow
-    `least_free_gain` and `much_left`.
+    of the RMS error): of the errors that it is fitted to, or of the free-run error of held-out
+    records; of the other one of these two its square is enough. Weights may not cost as much. From
+    it follow `least_free_gain` and `much_left`.
 
     accuracy: relative error of an equation that is right, from which follow `explained`, `inexact`,
     `alike`, `visible`, `least_force` and `told_from_model`. law_accuracy: the same of a law of

@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import copy
 import multiprocessing
-import multiprocessing.connection
 import os
-import signal
-import sys
 import threading
 import time
 import traceback
@@ -22,7 +19,6 @@ from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Generic, Protocol, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -34,6 +30,7 @@ from ..records.record import IdentificationError
 from .record_affinity_pool import RecordAffinityPool
 from .records.memory_of_arrays import memory_of_arrays
 from .records.record_from_log import TraceRecord, trace_record
+from .worker_processes import begin_imports, ignore_interrupts, without_main_module
 
 Answer = TypeVar("Answer")
 Task = Callable[[TraceRecord], Answer]
@@ -168,19 +165,19 @@ def local_workers(
 ) -> Iterator[Workers]:
     """Start local workers: one process for each core, or only this process on one core.
 
-    `report` is called with a line of text if a worker is lost.
+    They import what they need while the body begins. `report` is called with a line of text if a
+    worker is lost.
     """
     count = processes or len(os.sched_getaffinity(0))
     if count == 1:
         yield Alone(config)
         return
-    context = multiprocessing.get_context("forkserver")
     others = set(multiprocessing.active_children())
-    with RecordAffinityPool(count, context, _begin, _length) as pool:
+    with RecordAffinityPool(count, begin_imports(), ignore_interrupts, _length) as pool:
         try:
-            with _without_main_module():
-                for started in [pool.submit(_start) for _ in range(count)]:
-                    started.result()
+            with without_main_module():
+                for _ in range(count):
+                    pool.submit(_start)
             yield Spread(config, pool, "a worker", report)
         except BaseException:
             # Otherwise the pool would first finish all submitted tasks.
@@ -188,21 +185,6 @@ def local_workers(
             for worker in set(multiprocessing.active_children()) - others:
                 worker.terminate()
             raise
-
-
-@contextmanager
-def _without_main_module() -> Iterator[None]:
-    """Start processes in the `with` body that do not run the user's script again.
-
-    multiprocessing imports the main module in each of them: a script without the check of
-    `__name__` would fly and trace once more in every worker. The tasks need nothing of it.
-    """
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
 
 
 def _start() -> None:
@@ -214,19 +196,6 @@ def _length(argument: object) -> tuple[RecordSource, int] | None:
     if not isinstance(argument, RecordSource):
         return None
     return argument, argument.stop - argument.start
-
-
-def _begin() -> None:
-    """Ignore interrupts in this worker, and end it when its parent process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel: int) -> None:
-    multiprocessing.connection.wait([sentinel])
-    os._exit(1)
 
 
 @contextmanager

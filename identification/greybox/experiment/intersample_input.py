@@ -8,6 +8,7 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
+from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
@@ -97,12 +98,23 @@ def _split(delay_s: float, Ts_s: float) -> tuple[int, float]:
 
 def _held(u: Array, step: HeldStep) -> Array:
     old, new = _around_jump(u, step)
-    lagged = lagged_input(u, step)
-    return np.asarray(
-        step.from_old[:, None] * old[:, None]
-        + step.from_new[:, None] * new[:, None]
-        + step.from_lag[:, None] * lagged[:, None]
-    )
+    held = np.empty((len(u), len(step.from_old), u.shape[1]))
+    combine(
+        np.ascontiguousarray(old), np.ascontiguousarray(new), lagged_input(u, step),
+        step.from_old, step.from_new, step.from_lag, held,
+    )  # fmt: skip
+    return held
+
+
+@njit(cache=True, nogil=True)
+def combine(old, new, lagged, from_old, from_new, from_lag, out):  # type: ignore[no-untyped-def]
+    """Fill `out` (N, J, p) with the sums of three inputs (N, p), each times a factor (J,)."""
+    for k in range(len(old)):
+        for j in range(len(from_old)):
+            for i in range(old.shape[1]):
+                out[k, j, i] = (
+                    from_old[j] * old[k, i] + from_new[j] * new[k, i] + from_lag[j] * lagged[k, i]
+                )
 
 
 def lagged_input(u: Array, step: HeldStep) -> Array:

@@ -113,7 +113,7 @@ def _errors_and_unknowns(at: Motion, kalman: Filter, experiment: Experiment) -> 
         )
         return out
     out[:, :, 0] = innovations(at, kalman.gain, experiment.y, np.zeros(2 * n))
-    silent = replace(at, inputs=np.zeros((rows, len(at.scale) - 1, at.B.shape[2])))
+    silent = replace(at, B=at.B[:, :, :0], inputs=np.zeros((rows, len(at.scale) - 1, 0)))
     still = replace(silent, drift=np.zeros_like(at.drift))
     zero = np.zeros((rows, n))
     for i in range(n):

@@ -54,11 +54,11 @@ def without_guide(
     """Remove the last effect if it only served to find the others.
 
     A fit ends in the valley that it began in. Beside another effect what was found before may come
-    out of it, and then needs no other. None if more is lost without it than an effect must take of
-    `before`, the squared errors above noise before it.
+    out of it, and then needs no other; without shapes there is one valley only. None if more is
+    lost without it than an effect must take of `before`, the squared errors above noise before it.
     """
     *others, _ = point.placed
-    if not others:
+    if not any(p.shape for p in others):
         return None
     alone, left = refine(replace(point, placed=tuple(others)), records, within=NEARLY)
     return alone if left - squares < options.least_gain * before else None

@@ -105,7 +105,7 @@ def grown(
         stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
         # What was foretold along the trajectories without it must come true.
         comes_true = criterion.takes(replace(taken, gain=train.squares - squares))
-        if stays and comes_true and helps(taken, error, after, explained, options):
+        if stays and comes_true and helps(taken, error, after, explained, criterion):
             point, error = better, after
             queue.take(taken, point.placed)
         else:

@@ -32,6 +32,9 @@ ROUGHLY, NEARLY, FULLY = (
 )
 """The same as a share of how far the squares are from those of noise: while others are missing, or
 the noise is assumed larger than it is, what is at its best now will not be then."""
+NOISE = 1.0
+"""Squared errors that the noise of one number takes: of a step that promises less, shorter ones are
+not tried."""
 _CRAWLS = SearchOptions.least_gain
 """Of what a step must promise: two in a row that take less crawl along a valley that bends."""
 _LEASH = 1.0 / SearchOptions.resolved
@@ -68,7 +71,7 @@ def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[W
     by more than a whole one promises: trajectories move too, and have another gradient.
     """
     train = gather(point, records.train(point))
-    damping, crawls = 0.0, False
+    damping, crawls, failed = 0.0, False, False
     for _ in range(SearchOptions.steps):
         step = _step(point, train, 0.0)
         worth = max(_WORTH_A_STEP, within * abs(train.excess))
@@ -80,17 +83,18 @@ def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[W
             after = gather(moved, records.train(moved))
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
             after = None
-        if after is not None and _cost(after) < _cost(train) * (1 + ROUNDING):
+        chance = max(ROUNDING * _cost(train), NOISE if promised < NOISE else 0.0)
+        if after is not None and _cost(after) < _cost(train) + chance:
             gained = _cost(train) - _cost(after)
-            point, train, damping = moved, after, less(damping)
+            point, train, damping, failed = moved, after, less(damping, failed), False
             crawled, crawls = crawls, gained < _CRAWLS * worth
             if gained < _WORTH_A_STEP or (crawled and crawls):
                 break
         else:
             rises = after is not None and _cost(after) - _cost(train) > promised
-            if damping >= (_SHORT if rises else MOST_DAMPING):
+            if promised < NOISE or damping >= (_SHORT if rises else MOST_DAMPING):
                 break
-            damping = more(damping)
+            damping, failed = more(damping), True
     return point, train.squares
 
 

@@ -6,7 +6,7 @@ An effect is taken if
 2. held-out records lower their errors by it, where it should do more in them than chance does, and
    do not surely raise them elsewhere,
 3. it takes enough to matter: of the free-run error of held-out records, or of the errors one step
-   ahead where these records do not show it.
+   ahead where these records do not show it, and at least the square of that of both.
 """
 
 from __future__ import annotations
@@ -113,18 +113,21 @@ def tested(
 
 
 def helps(
-    tried: Tried, before: HeldError, after: HeldError, explained: bool, options: SearchOptions
+    tried: Tried, before: HeldError, after: HeldError, explained: bool, criterion: Criterion
 ) -> bool:
     """Return whether held-out records confirm an effect, by their free-run errors.
 
     Where they should show it and are not `explained` without it, it must take its share of what
     noise does not explain; elsewhere they must not surely rise. A mass on a spring follows a line
-    that shakes the platform one step ahead, and foretells nothing of it.
+    that shakes the platform one step ahead, and foretells nothing of it. Of what takes its share
+    one step ahead the square is enough: a larger effect that is still missing may hide it.
     """
     asked = tried.agreement.asked and not is_internal(tried.effect) and not explained
-    least = share_of(tried, options) * max(before.squares - before.floor, 0.0)
-    falls = before.squares - after.squares > least
-    return not is_worse(after, before, options) and (falls or not asked)
+    share = share_of(tried, criterion.options)
+    if tried.gain > share * criterion.excess:
+        share *= share
+    falls = before.squares - after.squares > share * max(before.squares - before.floor, 0.0)
+    return not is_worse(after, before, criterion.options) and (falls or not asked)
 
 
 def is_worse(one: HeldError, other: HeldError, options: SearchOptions) -> bool:

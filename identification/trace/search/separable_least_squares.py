@@ -26,7 +26,7 @@ from ..linearised.linearise_prediction_errors import effect_terms
 from ..search_options import SearchOptions
 from .backward_elimination import columns_of, without_effect
 from .damping import MOST_DAMPING, less, more
-from .gauss_newton import ROUGHLY, Candidate, Fitted, gather, leash
+from .gauss_newton import NOISE, ROUGHLY, Candidate, Fitted, gather, leash
 from .regression import (
     ColumnEvidence,
     cross_validated,
@@ -38,9 +38,6 @@ from .regression import (
 from .tested_candidate import Tried
 
 Array = NDArray[np.float64]
-
-_WORTH = 1.0
-"""Squared errors that a step must promise: noise of one number takes as much."""
 
 
 def with_fitted_shapes(
@@ -87,7 +84,7 @@ class _Fit:
     """One candidate's fit: the best shape so far, and the one that is tried next."""
 
     def __init__(self, tried: Tried) -> None:
-        self.best, self.shape, self.ended = tried, tried.shape, False
+        self.best, self.shape, self.ended, self._failed = tried, tried.shape, False, False
         self._squares, self._damping = np.inf, 0.0
         self._joined: _Joined | None = None
 
@@ -110,9 +107,9 @@ class _Fit:
                 gain=float(there.gain.sum()),
             )
             self._squares, self._joined = there.squares, there
-            self._damping = less(self._damping)
+            self._damping, self._failed = less(self._damping, self._failed), False
         else:
-            self._damping = more(self._damping)
+            self._damping, self._failed = more(self._damping), True
         assert self._joined is not None
         move, promised = self._joined.step(self.best, self._damping)
         moved = tuple(
@@ -120,7 +117,7 @@ class _Fit:
             for one, value, q in zip(move, self.best.shape, self.best.effect.shape, strict=True)
         )
         left = self._squares - float(train.count.sum())
-        worth = max(_WORTH, ROUGHLY * left)
+        worth = max(NOISE, ROUGHLY * left)
         self.ended = promised < worth or self._damping > MOST_DAMPING or moved == self.best.shape
         self.shape = moved
 

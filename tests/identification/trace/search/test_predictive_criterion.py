@@ -111,24 +111,27 @@ def test_shape_that_is_a_first_guess_need_not_take_as_much() -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "explained", "after", "helped"),
+    ("asked", "explained", "gain", "after", "helped"),
     [
-        (True, False, 5.0, True),
-        (True, False, 9.5, False),  # it takes less than a tenth of what noise leaves
-        (True, True, 9.5, True),  # there is nothing left to take
-        (False, False, 10.1, True),  # it does nothing there
-        (False, False, 20.0, False),
+        (True, False, 0.05, 5.0, True),
+        (True, False, 0.05, 9.5, False),  # it takes less than a tenth of what noise leaves
+        (True, False, 0.5, 9.5, True),  # so it does in free run only, which a larger one may cause
+        (True, False, 0.5, 9.95, False),  # it foretells nothing
+        (True, True, 0.05, 9.5, True),  # there is nothing left to take
+        (False, False, 0.05, 10.1, True),  # it does nothing there
+        (False, False, 0.05, 20.0, False),
     ],
 )
 def test_held_out_records_must_have_smaller_errors_in_free_run(
-    asked: bool, explained: bool, after: float, helped: bool
+    asked: bool, explained: bool, gain: float, after: float, helped: bool
 ) -> None:
-    one = tried("coil_gain@coil:7", 1e5, replace(SURELY, asked=asked))
+    criterion = Criterion(OPTIONS, 1e5, 0.0)
+    one = tried("coil_gain@coil:7", gain * criterion.excess, replace(SURELY, asked=asked))
     scatter = np.array([0.1, -0.2, 0.3, -0.1, -0.2, 0.1])
     errors = [HeldError(10.0, 1.0, np.full(6, 10.0)), HeldError(after, 1.0, after + scatter)]
-    assert helps(one, *errors, explained, OPTIONS) is helped
+    assert helps(one, *errors, explained, criterion) is helped
     drives = replace(one, effect=NAMED["cogging@beam"])  # it does not move the platform
-    assert helps(drives, *errors, explained, OPTIONS) is (after < 15.0)
+    assert helps(drives, *errors, explained, criterion) is (after < 15.0)
 
 
 @pytest.mark.parametrize(

@@ -96,11 +96,14 @@ def test_effect_that_only_helped_another_out_of_a_local_minimum_is_removed(
         return point, 1000.0 + back
 
     monkeypatch.setattr(backward_elimination, "refine", refined)
+    shaped = NAMED["dead_zone@coil:1"]
     begun = placed(FIRST, SECOND)
+    begun = replace(begun, placed=(Placed(shaped, shaped.grid[0], (1.0,)), begun.placed[1]))
     alone = backward_elimination.without_guide(begun, 1000.0, EXCESS, None, OPTIONS)
     assert (alone is not None) is removed
     assert alone is None or alone.placed == begun.placed[:1]
-    assert backward_elimination.without_guide(placed(FIRST), 1000.0, 1e5, None, OPTIONS) is None
+    for linear in (placed(FIRST), placed(FIRST, SECOND)):  # their fit has one minimum
+        assert backward_elimination.without_guide(linear, 1000.0, EXCESS, None, OPTIONS) is None
 
 
 @pytest.mark.parametrize(("after", "kept"), [(1.0, [FIRST]), (9.99, [FIRST, SECOND])])

@@ -30,7 +30,7 @@ from ...greybox.force_balance.band_limited_signals import (
 from ...greybox.free_parameters import FreeParameters
 from ..records.record_from_log import TraceRecord
 from ..search_options import SearchOptions
-from .rests import moving_rows
+from .rests import away_from_turns, moving_rows
 
 Array = NDArray[np.float64]
 
@@ -154,6 +154,11 @@ class ForceRecord:
     def counted_at_rest(self, still: NDArray[np.bool_]) -> ForceRecord:
         """Return the record with the rows of some DOF (n,) counted, whether these rest or not."""
         return replace(self, moves=np.where(still, 1.0, self.moves))
+
+    def between_turns(self, rubbed: NDArray[np.bool_]) -> ForceRecord:
+        """Return the record without the turns of some DOF (n,), as if they rested there."""
+        away = away_from_turns(self.signals.qd, self.band.Ts_s, 1.0 / self.band.cutoff_hz)
+        return replace(self, moves=self.moves * (away[self.band.kept] | ~rubbed))
 
     @property
     def rows(self) -> int:

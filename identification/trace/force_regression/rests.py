@@ -39,6 +39,18 @@ def moving_rows(
     return found
 
 
+def away_from_turns(speed: Array, Ts_s: float, memory_s: float) -> NDArray[np.bool_]:
+    """Return the rows (N, n) farther than half of a memory from where a speed (N, n) turns.
+
+    With dry friction the acceleration jumps there. A speed below a limit is round, and turns a part
+    of a row early or late.
+    """
+    memory = max(round(memory_s / Ts_s), 1)
+    turns = np.zeros(speed.shape, bool)
+    turns[1:] = speed[1:] * speed[:-1] <= 0.0
+    return ~binary_dilation(turns, np.ones((memory // 2 * 2 + 1, 1), bool))
+
+
 def _rests(speed: Array, limit: float, memory: int) -> NDArray[np.bool_]:
     """Return the rows (N,) of rests, of the size of a speed below a limit.
 

@@ -189,7 +189,10 @@ def _traced(
         unbiased = Unbiased.of(found.point, training, others, train, hold, law_hz, sd, options)
         noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
         more = np.sqrt(2.0) * sd
-        others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
+        others += [
+            *_between_turns(found.point, training, options),
+            _training_below(found.point, noisy, hold, limit_hz, law_hz, more, options),
+        ]
         return Certainty.of(found, fitted, training, others, options, unbiased)
 
     found, last = searched(training, None)
@@ -333,6 +336,27 @@ def _training_below(
     blocks = Blocks.of([r.rows for r in records], options.blocks)
     training = Training.unscaled(records, white, blocks)
     return training.with_scale(training.at(replace(point, placed=())), options.told_from_model)
+
+
+def _between_turns(
+    point: ForceModel, training: Training, options: SearchOptions
+) -> tuple[Training, ...]:
+    """Return the training records without the turns of DOF with friction.
+
+    None if there is no friction, or too few rows are left.
+    """
+    names = training.records[0].signals.places.dof
+    rubbing = {
+        w for p in point.placed if p.effect.effect_class == "friction" for w in p.effect.where
+    }
+    rubbed = np.array([name in rubbing for name in names])
+    records = tuple(r.between_turns(rubbed) for r in training.records)
+    moving, left = (
+        np.sum([r.moves.sum(axis=0) for r in some], axis=0) for some in (training.records, records)
+    )
+    if not rubbed.any() or np.any(left < options.reported * moving):
+        return ()
+    return (replace(training, records=records),)
 
 
 def _noisier(record: TraceRecord, sd: Array, seed: int) -> TraceRecord:

@@ -221,6 +221,9 @@ def _drawn(
             return plant.unexplained(motion) / force if np.all(np.isfinite(motion.y)) else np.inf
 
     size = sized(numbers)
+    while law.kind == Kind.BEARING and not np.isfinite(size):
+        numbers = 1.2 * numbers  # at the same stiffness a wider gap: it ran into the magnet
+        size = sized(numbers)
     if law.kind not in (Kind.SINE, *_MAGNETS):
         numbers, size = _with_size(sized, wanted, numbers, _most(law.kind, plant, plain, place))
     return Drawn(law, where, numbers, size), place

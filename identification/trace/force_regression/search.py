@@ -82,7 +82,7 @@ def search(
         state, nearest = _grown(state, named, training, options, progress)
     progress("comparing rivals", options.share_done(options.most_effects))
     if len(state.rated) > 1:
-        state = _against_rivals(state, list(state.rated), named, training, options)
+        state = _against_rivals(state, list(state.rated), named, training, options, at_place=True)
     last = {p.effect.identity: p for p in state.point.placed}
     final = [replace(r, placed=last[key]) for key, r in state.rated.items()]
     final.sort(key=lambda r: (is_free(r.placed), -r.force))
@@ -397,10 +397,13 @@ def _against_rivals(
     named: Sequence[Effect],
     training: Training,
     options: SearchOptions,
+    at_place: bool = False,
 ) -> _State:
     """Compare found effects with their rivals beside all others; take the best or simplest.
 
     asked: their identities. What others left hid by what an effect is told from its alternatives.
+    at_place: whether all laws at the place of an effect are its rivals, also those that gained
+    nothing while others were missing.
     """
     for identity in asked:
         own = next((p for p in state.point.placed if p.effect.identity == identity), None)
@@ -411,6 +414,8 @@ def _against_rivals(
         contenders = [e for r in state.rated.values() for e in r.contenders]
         known = {(e.key, e.where) for e in contenders}
         contenders += [e for e in named if (e.beside, e.where) in known]
+        if at_place:
+            contenders += [e for e in _asked(named, kept) if e.where == own.effect.where]
         rivals = [own.effect, *(e for e in _new(contenders, kept) if not same_law(e, own.effect))]
         rivals = list({e.identity: e for e in rivals}.values())
         rest = training.fit(replace(state.point, placed=kept))

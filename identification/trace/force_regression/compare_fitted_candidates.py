@@ -257,7 +257,9 @@ def _worse(one: _Fitted, best: _Fitted, blocks: Blocks, options: SearchOptions) 
     more than the equation of the best may be wrong by.
 
     It must be so both relative to the noise of the outputs and by force alone: a small difference
-    of two masses is no more sure than these, but the same in all blocks.
+    of two masses is no more sure than these, but the same in all blocks. What leaves more force,
+    and much more relative to the noise, as if another effect were missing, is worse if it does so
+    in most blocks: the scatter of the difference may be that of a few which have most of it.
     """
     least = options.inexact * float(best.rated.gain.raw.mean())
 
@@ -270,7 +272,13 @@ def _worse(one: _Fitted, best: _Fitted, blocks: Blocks, options: SearchOptions) 
     pairs = list(zip(one.left, best.left, strict=True))
     by_noise = surely((one.errors, best.errors), [a - b for a, b in pairs])
     forces = [a / np.sqrt(one.share) - b / np.sqrt(best.share) for a, b in pairs]
-    return by_noise and surely((one.by_force, best.by_force), forces)
+    if by_noise and surely((one.by_force, best.by_force), forces):
+        return True
+    ratio = np.log(np.maximum(one.errors, TINY) / np.maximum(best.errors, TINY))
+    in_most = ratio.mean() > options.standard_errors * ratio.std(ddof=1) / np.sqrt(len(ratio))
+    much = one.errors.sum() > options.much_left**2 * best.errors.sum()
+    more = one.by_force.sum() > (1.0 + options.least_gain) * best.by_force.sum()
+    return bool(in_most and much and more)
 
 
 def _support(

@@ -281,7 +281,7 @@ def _with_best(
         lowered = before - missing_share(plain.at(point))
         if lowered.max() > options.least_force:
             rated = _without_replaced(state, first)
-            others = _distinct_choices(state, rivals, rated, training, point, options)
+            others = _distinct_choices(state, chosen, rivals, rated, training, point, options)
             rated[chosen.placed.effect.identity] = chosen
             by_law = _by_law(rated, point)
             return _State(point, by_law, state.dropped, (*state.not_taken, others))
@@ -296,6 +296,7 @@ def _without_replaced(state: _State, first: Rated) -> dict[str, Rated]:
 
 def _distinct_choices(
     state: _State,
+    chosen: Rated,
     rivals: Sequence[tuple[Rated, ForceModel]],
     rated: dict[str, Rated],
     training: Training,
@@ -305,7 +306,8 @@ def _distinct_choices(
     """Return the states that rivals lead to, best first; one for all that leave about the same.
 
     That is the one with the fewest numbers. Those that leave about as much as the model that was
-    `taken` are left out: they are the same choice. The difference is less than an effect must take.
+    `taken` are the same choice; of them only another class than that of the `chosen` rival leads
+    elsewhere, and is the last. The difference is less than an effect must take.
     A law that could do without one of its amplitudes is the choice of a simpler one that it
     contains.
     """
@@ -316,11 +318,14 @@ def _distinct_choices(
         if cost > (1.0 + options.least_gain) * groups[-1][0]:
             groups.append((cost, []))
         groups[-1][1].append(rivals[i])
+    own = chosen.placed.effect.effect_class
+    others = [(r, p) for r, p in groups[0][1] if r.placed.effect.effect_class != own]
     found = []
-    for _, group in groups[1:]:
-        rival, point = min(group, key=lambda r: r[0].numbers)
-        own = {**rated, rival.placed.effect.identity: rival}
-        found.append(_State(point, _by_law(own, point), state.dropped, state.not_taken))
+    for group in (*(some for _, some in groups[1:]), others):
+        if group:
+            rival, point = min(group, key=lambda r: r[0].numbers)
+            with_it = {**rated, rival.placed.effect.identity: rival}
+            found.append(_State(point, _by_law(with_it, point), state.dropped, state.not_taken))
     return tuple(found)
 
 

@@ -93,6 +93,20 @@ def test_two_effects_that_look_like_a_third_one_are_found() -> None:
     assert found.force[1] < 1.0
 
 
+@pytest.mark.parametrize(
+    ("law", "seed"),
+    [
+        ("stribeck+drag", 877_001),  # alone, eddy currents leave about as much, with fewer numbers
+        ("cubic_actuator+coulomb", 879_001),  # a lag leaves much more, most of it in few blocks
+    ],
+)
+def test_two_effects_of_a_drive_are_told_from_one(law: str, seed: int) -> None:
+    found = scored("drive", law, seed)
+    assert found.right
+    assert not found.false_name
+    assert not found.doubtful
+
+
 def test_two_large_effects_are_found_whose_gains_scatter_without_each_other() -> None:
     # A swinging mass beside a sine for a stiffness: alone, neither is told from chance by blocks.
     found = scored("pendulum", "gravity+loose_mass", 862_001)

@@ -15,7 +15,7 @@ from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
 from .free_numbers import numbers
 from .instrumental_variables import Unbiased
-from .intervals import Uncertainty, relative_force_errors
+from .intervals import Influences, Uncertainty, relative_force_errors
 from .richest_free_form import foretold, residual_of_richest
 from .search import Searched
 from .training_records import Training, missing_share
@@ -45,9 +45,11 @@ class Certainty:
         others: Sequence[Training],
         options: SearchOptions,
         unbiased: Unbiased | None = None,
+        parts: Sequence[Training] = (),
     ) -> Certainty:
         """Judge the result of a search; `others`: in other bands, the last with more noise.
 
+        parts: the records of `training` with some of their rows, where the equation is better.
         unbiased: the model fitted with instruments, whose numbers take the place of the found ones
         where these miss more force than the error of an equation.
         """
@@ -57,6 +59,7 @@ class Certainty:
         if unbiased is None or not unbiased.large:
             point, instruments = found.point, None
             moved += [numbers(other.fit(point)) - base for other in others]
+            moved += [_beyond_chance(point, training, part) for part in parts]
             moved += [] if unbiased is None else [numbers(unbiased.point) - base]
         else:
             point, instruments = unbiased.point, unbiased.instruments
@@ -127,6 +130,20 @@ def with_numbers(found: Searched, point: ForceModel) -> Searched:
     last = {p.effect.identity: p for p in point.placed}
     rated = tuple(replace(r, placed=last[r.placed.effect.identity]) for r in found.rated)
     return replace(found, point=point, rated=rated)
+
+
+def _beyond_chance(point: ForceModel, whole: Training, part: Training) -> Array:
+    """Return the changes of all numbers (K,) by a fit to a part of the rows, less what is chance.
+
+    The difference of two fits, one of which has all rows, has the difference of their variances
+    (Hausman, *Specification tests in econometrics*, Econometrica 46, 1978). A part tells nothing of
+    numbers that change no force there.
+    """
+    change = numbers(part.fit(point)) - numbers(point)
+    own, all_rows = (Influences.of(point, training) for training in (part, whole))
+    chance = np.diag(own.covariance()) - np.diag(all_rows.covariance())
+    beyond = np.maximum(change**2 - np.maximum(chance, 0.0), 0.0)
+    return np.where(own.silent, 0.0, np.copysign(np.sqrt(beyond), change))
 
 
 def _with_what_came_near(

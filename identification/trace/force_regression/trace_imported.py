@@ -187,13 +187,10 @@ def _traced(
             if step != _MIDDLE
         ]
         unbiased = Unbiased.of(found.point, training, others, train, hold, law_hz, sd, options)
-        noisy = [_noisier(r, sd, seed) for seed, r in enumerate(train)]
-        more = np.sqrt(2.0) * sd
-        others += [
-            *_between_turns(found.point, training, options),
-            _training_below(found.point, noisy, hold, limit_hz, law_hz, more, options),
-        ]
-        return Certainty.of(found, fitted, training, others, options, unbiased)
+        noisy, more = [_noisier(r, sd, seed) for seed, r in enumerate(train)], np.sqrt(2.0) * sd
+        others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
+        parts = _between_turns(found.point, training, options)
+        return Certainty.of(found, fitted, training, others, options, unbiased, parts)
 
     found, last = searched(training, None)
     if training.whitening.flat and found.rated:

@@ -56,8 +56,9 @@ def test_what_a_pendulum_does_not_tell_apart_is_a_group(law: str, seed: int) -> 
 def test_a_mass_on_a_spring_is_not_lost_to_a_play_that_never_moves() -> None:
     # Wider than the command's range, the play of a hysteresis is the input's own gain.
     found = scored("pendulum", "gravity+loose_mass", 871_001)
-    assert found.in_group
+    assert found.right
     assert not found.false_name
+    assert not found.doubtful
 
 
 def test_a_contact_is_found_from_a_start_at_zero() -> None:

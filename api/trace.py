@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..identification.records.record import IdentificationError
-from ..identification.trace.worker_processes import begin_imports
+from ..identification.trace.worker_processes import begin_imports, worker_count
 from ..log.catalogue.results import RESULT
 from .html_table import Table
 from .model import (
@@ -55,8 +54,8 @@ def trace(
         ImportError: `dask` is given, and the package distributed is not installed.
     """
     imported = "signals.yaml" in session.steps[0].attachments
-    if not (imported or dask) and (workers or len(os.sched_getaffinity(0))) > 1:
-        begin_imports()
+    if not (imported or dask) and worker_count(workers) > 1:
+        begin_imports()  # while this process does the same
     from .trace_of_imported import trace_imported_logs
     from .trace_of_rig import trace_rig_logs
 

@@ -221,9 +221,11 @@ def _drawn(
             return plant.unexplained(motion) / force if np.all(np.isfinite(motion.y)) else np.inf
 
     size = sized(numbers)
-    while law.kind == Kind.BEARING and not np.isfinite(size):
-        numbers = 1.2 * numbers  # at the same stiffness a wider gap: it ran into the magnet
-        size = sized(numbers)
+    if law.kind == Kind.BEARING and not np.isfinite(size):
+        # It ran into a magnet: the narrowest gap of these, at the same stiffness, in which it does
+        # not. In twice the largest one it hardly is nonlinear.
+        wider = (share * numbers for share in np.linspace(1.0, 2.0, _BISECTIONS))
+        numbers, size = next((n, found) for n in wider if np.isfinite(found := sized(n)))
     if law.kind not in (Kind.SINE, *_MAGNETS):
         numbers, size = _with_size(sized, wanted, numbers, _most(law.kind, plant, plain, place))
     return Drawn(law, where, numbers, size), place

@@ -30,7 +30,7 @@ from ..records.record import IdentificationError
 from .record_affinity_pool import RecordAffinityPool
 from .records.memory_of_arrays import memory_of_arrays
 from .records.record_from_log import TraceRecord, trace_record
-from .worker_processes import begin_imports, ignore_interrupts, without_main_module
+from .worker_processes import begin_imports, ignore_interrupts, without_main_module, worker_count
 
 Answer = TypeVar("Answer")
 Task = Callable[[TraceRecord], Answer]
@@ -168,7 +168,7 @@ def local_workers(
     They import what they need while the body begins. `report` is called with a line of text if a
     worker is lost.
     """
-    count = processes or len(os.sched_getaffinity(0))
+    count = worker_count(processes)
     if count == 1:
         yield Alone(config)
         return

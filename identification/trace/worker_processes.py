@@ -21,6 +21,11 @@ _IMPORTED = f"{__package__}.run_trace"
 """The module whose functions are tasks of the workers."""
 
 
+def worker_count(asked: int | None) -> int:
+    """Return the number of processes that compute: those asked for, or one for each core."""
+    return asked or len(os.sched_getaffinity(0))
+
+
 def begin_imports() -> ForkServerContext:
     """Return the context that starts workers, whose server imports what all of them need.
 

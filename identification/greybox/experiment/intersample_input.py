@@ -99,7 +99,7 @@ def _split(delay_s: float, Ts_s: float) -> tuple[int, float]:
 def _held(u: Array, step: HeldStep) -> Array:
     old, new = _around_jump(u, step)
     held = np.empty((len(u), len(step.from_old), u.shape[1]))
-    combine(
+    weighted_sum(
         np.ascontiguousarray(old), np.ascontiguousarray(new), lagged_input(u, step),
         step.from_old, step.from_new, step.from_lag, held,
     )  # fmt: skip
@@ -107,7 +107,7 @@ def _held(u: Array, step: HeldStep) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def combine(old, new, lagged, from_old, from_new, from_lag, out):  # type: ignore[no-untyped-def]
+def weighted_sum(old, new, lagged, from_old, from_new, from_lag, out):  # type: ignore[no-untyped-def]
     """Fill `out` (N, J, p) with the sums of three inputs (N, p), each times a factor (J,)."""
     for k in range(len(old)):
         for j in range(len(from_old)):

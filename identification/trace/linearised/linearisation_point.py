@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,12 +100,6 @@ def along(point: WorkingPoint, record: TraceRecord) -> Along:
         thinned(prediction.errors, every), thinned(prediction.unknowns, every), every,
         point.disturbance.sensor_sd,
     )  # fmt: skip
-
-
-def kept_along(point: WorkingPoint, record: TraceRecord) -> Along:
-    """Return `along`; what is prepared of the record's last point if it is that."""
-    kept = record.prepared.get(pickle.dumps(point))
-    return along(point, record) if kept is None else cast("Along", kept[0])
 
 
 def filter_of(point: WorkingPoint, record: TraceRecord, at: Motion, trust: float = 1.0) -> Filter:

@@ -14,12 +14,7 @@ from ...greybox.prediction.discretisation import Motion, input_moments
 from ...rounding import ROUNDED_SD, TINY
 from ..linearised.drive_force_residual import beside_motion, calm, drive_errors
 from ..linearised.intersample_moments import POINTS, force_moments
-from ..linearised.linearisation_point import (
-    Along,
-    WorkingPoint,
-    corrected_experiment,
-    kept_along,
-)
+from ..linearised.linearisation_point import Along, WorkingPoint, along, corrected_experiment
 from ..records.effect_signals import rate
 from ..records.record_from_log import TraceRecord
 from ..search_options import SearchOptions
@@ -66,7 +61,7 @@ class Share:
 
 def missing(point: WorkingPoint, record: TraceRecord) -> Missing:
     """Return the residual of the model with its effects in a record."""
-    here = kept_along(point, record)
+    here = along(point, record)
     e, driven = corrected_experiment(point, record, here.at, here.added)
     force = _residual_force(driven, e.y)
     gap = record.gap if here.added.gap is None else record.gap - here.added.gap

@@ -142,7 +142,7 @@ PAIRS = {
     ),
     "stage": ("coulomb+squared_actuator", "cubic_stiffness+drag", "dead_zone+drag", "stop+coulomb",
               "saturation+second_order", "lag+squared_actuator"),
-    "levitation": ("magnet+drag", "magnet+lag"),
+    "levitation": ("magnet+drag", "lag+magnet"),
 }  # fmt: skip
 """Pairs of effects of each plant, each drawn by itself. A command passes those of one input in
 their order."""

@@ -204,11 +204,11 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
                 for e in range(len(kinds)):
                     kind, place, s = kinds[e], places[e], four[e]
                     if kind == Kind.MAGNET:
-                        i, gap = u[row, 0] / s[1], q_mid[0] / s[2]
+                        i, gap = F[0] / s[1], q_mid[0] / s[2]
                         near = 1.0 - min(gap, 0.9)
                         extra[0] += s[0] * ((1.0 + i) ** 2 / near**2 - 1.0 - 2.0 * i - 2.0 * gap)
                     elif kind == Kind.BEARING:
-                        i, x = u[row, 0] / s[1], min(max(q_mid[0] / s[2], -0.9), 0.9)
+                        i, x = F[0] / s[1], min(max(q_mid[0] / s[2], -0.9), 0.9)
                         pulls = ((1.0 + i) / (1.0 - x)) ** 2 - ((1.0 - i) / (1.0 + x)) ** 2
                         extra[0] += s[0] * (0.25 * pulls - i - q_mid[0] / s[2])
                     elif kind == Kind.LAG:

@@ -139,6 +139,8 @@ _CLAUSES = {
     "inertia.swinging": "an arm that swings couples {at}",
     "inertia.jointed": "the inertia of an arm of two links changes as it bends ({at})",
     "inertia.two_links": "the coupling of two links changes as they bend ({at})",
+    "inertia.tilting": "the inertia of a turned arm changes as it tilts ({at})",
+    "inertia.extending": "the inertia of a turned arm changes as it extends ({at})",
     "inertia.": "the inertia of {at} changes with the position",
     "beam_motion.gravity": "the beam weighs {a:more|less} than declared",
     "beam_motion.": "the beam's motion pushes {at} otherwise than declared",

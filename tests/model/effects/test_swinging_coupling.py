@@ -1,4 +1,4 @@
-"""Test the coupling with swinging arms against Lagrange: a pendulum on a cart, two links."""
+"""Test the inertia of arms against Lagrange: a pendulum on a cart, two links, turned arms."""
 
 from __future__ import annotations
 
@@ -97,3 +97,29 @@ def energy_force(energy: Energy, q: Array, qd: Array, qdd: Array) -> Array:
         for i in range(2):
             found[row, i] = (slope(later, 2 + i) - slope(before, 2 + i)) / (2 * t) - slope(now, i)
     return found
+
+
+@pytest.mark.parametrize("key", ["inertia.tilting", "inertia.extending"])
+def test_a_turned_arm_has_the_force_of_its_lagrangian(key: str) -> None:
+    """A Furuta pendulum and a polar arm, at every pose and motion."""
+    tilts = key == "inertia.tilting"
+    text = ARM if tilts else ARM.replace("name: arm, unit: rad}", "name: arm, unit: m}")
+    places = imported_places(parse_text(text, ModelConfig, "arm"))
+    rng = np.random.default_rng(3)
+    q, qd, qdd = (rng.standard_normal((50, 2)) for _ in range(3))
+    none = tuple(np.zeros(50) for _ in range(6))
+    s = Signals(1e-2, np.arange(50) * 1e-2, q, qd, qdd, np.zeros((50, 1)), *none, 0, places)
+    effect = next(e for e in all_effects(places) if e.key == key)
+    assert effect.where == ("x", "arm")
+    size, at_zero = 0.3, 0.4  # and the angle, or the length, where the DOF are zero
+    numbers = size * (np.array([np.cos(0.8), np.sin(0.8)]) if tilts else np.array([1.0, 0.8]))
+    found = Placed(effect, (), tuple(numbers)).term(s).force
+
+    def energy(_x: float, a: float, v: float, _w: float) -> float:
+        arm = np.sin(a + at_zero) if tilts else a + at_zero
+        return float(0.5 * size * arm**2 * v * v)
+
+    declared = energy_force(lambda _x, _a, v, _w: energy(0.0, 0.0, v, 0.0), q, qd, qdd)
+    np.testing.assert_allclose(
+        found, declared - energy_force(energy, q, qd, qdd), atol=1e-4 * np.abs(found).max()
+    )

@@ -139,7 +139,8 @@ def _magnetic(
     a, b = _LAWS[law]
     x = sign * (signals.q[:, dof] - at[0]) / shape[0]
     r = (1.0 if at[1] >= 0.0 else -1.0) * (_current(signals, coil) - at[1]) / shape[1]
-    force = (1 + r) ** a * _over_gap(x, b) - 1 - a * r + b * x
+    pull = signals.acting((1 + r) ** a)
+    force = pull * _over_gap(x, b) - 1 - a * signals.acting(r) + b * x
     return [on_dof(signals, dof, force)]
 
 
@@ -154,8 +155,9 @@ def _of_two_magnets(
 ) -> list[Term]:
     x = sign * (signals.q[:, dof] - at[0]) / shape[0]
     r = (_current(signals, coil) - at[1]) / shape[1]
-    first, second = (1 + r) ** 2 * _over_gap(x, 2), (1 - r) ** 2 * _over_gap(-x, 2)
-    return [on_dof(signals, dof, 0.25 * (first - second) - r + x)]
+    pulls = (signals.acting((1 + way * r) ** 2) * _over_gap(way * x, 2) for way in (1, -1))
+    first, second = pulls
+    return [on_dof(signals, dof, 0.25 * (first - second) - signals.acting(r) + x)]
 
 
 def _over_gap(x: Array, power: int) -> Array:
@@ -164,8 +166,12 @@ def _over_gap(x: Array, power: int) -> Array:
 
 
 def _current(signals: Signals, coil: int) -> Array:
-    """Return a command (N,) after delay and lag, as its means over the periods around each row."""
+    """Return a command (N,) after the lag, held over each period.
+
+    What is not linear in it acts as the mean of its power over the periods around a row, not as the
+    power of the mean: a noisy loop moves its command from row to row.
+    """
     held = signals.coil[:, coil]
     if signals.lag_s > 0.0:
         held = lagged_mean(held, signals.lag_s, signals.Ts_s)
-    return signals.acting(held)
+    return held

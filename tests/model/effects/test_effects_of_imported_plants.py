@@ -198,10 +198,10 @@ def cogging(q, v, F, a, b, pitch):
     return size * np.sin(2 * np.pi * q / pitch + shift)
 
 
-def acting(F):
-    """Return the mean of the commands that act before and after each row, a row later."""
-    before = np.concatenate([F[:1], F[:-1]])
-    return 0.5 * (before + np.concatenate([F[:1], before[:-1]]))
+def held_around(F):
+    """Return the commands that act before and after each row, a row later."""
+    after = np.concatenate([F[:1], F[:-1]])
+    return np.concatenate([F[:1], after[:-1]]), after
 
 
 def magnet(current: int, gap: int, way: float) -> Law:
@@ -230,8 +230,9 @@ def beyond_linear(force) -> Law:
         h = 1e-5
         by_q = (full(at_q + h, at_F) - full(at_q - h, at_F)) / (2 * h)
         by_F = (full(at_q, at_F + h) - full(at_q, at_F - h)) / (2 * h)
-        F = acting(F)
-        return full(q, F) - full(at_q, at_F) - by_q * (q - at_q) - by_F * (F - at_F)
+        # Each command is held for a period: a row has the mean of those before and after it.
+        acts = 0.5 * sum(full(q, held) - by_F * (held - at_F) for held in held_around(F))
+        return acts - full(at_q, at_F) - by_q * (q - at_q)
 
     return law
 

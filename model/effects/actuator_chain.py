@@ -92,6 +92,15 @@ def same_law(one: Effect, other: Effect) -> bool:
     return one.where == other.where and len(keys) == 1
 
 
+def delayed(effect: Effect, placed: Sequence[Placed], lagging: bool) -> bool:
+    """Return whether an effect's command has a lag, so that it may act before or behind that.
+
+    lagging: whether the model has a lag of all commands.
+    """
+    late = {p.effect.where for p in placed if _kind(p.effect) in _LAGS}
+    return lagging or effect.where in late
+
+
 def orders(
     placed: Sequence[Placed], table: Sequence[Effect], lagging: bool
 ) -> list[tuple[Placed, ...]]:
@@ -100,14 +109,13 @@ def orders(
     The first are the effects as they are; with no lag, all are before it. table: of all effects.
     lagging: whether the model has a lag of all commands.
     """
-    late = {p.effect.where for p in placed if _kind(p.effect) in _LAGS}
     now, others = list(placed), []
     for i, p in enumerate(placed):
         other = next((e for e in table if e != p.effect and same_law(e, p.effect)), None)
         if other is None:
             continue
         moved = replace(p, effect=other)
-        if lagging or p.effect.where in late:
+        if delayed(p.effect, placed, lagging):
             others.append((i, moved))
         elif p.effect.before_lag:
             now[i] = moved

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -69,9 +69,22 @@ class Beside:
     @cached_property
     def plain(self) -> Plain:
         """The same without weights."""
-        training = self.training.plain()
-        at = training.at(self.at.point)
-        return Plain(at, training, training.columns(at, training.group_columns(at)))
+        return self._without_weights(self.training.plain())
+
+    @cached_property
+    def relative(self) -> Plain:
+        """The same without weights, where equations hold times any factor relative to their forces:
+        a fit may make all of these larger or smaller."""
+        free = np.isfinite(self.training.reference)
+        if not free.any():
+            return self.plain
+        flat = self.training.plain()
+        reference = np.where(free, flat.at(self.at.point).power, np.nan)
+        return self._without_weights(replace(flat, reference=reference))
+
+    def _without_weights(self, flat: Training) -> Plain:
+        at = flat.at(self.at.point)
+        return Plain(at, flat, flat.columns(at, flat.group_columns(at)))
 
     @property
     def squares(self) -> float:
@@ -116,6 +129,21 @@ class _Fit:
 def told_share(effect: Effect, options: SearchOptions) -> float:
     """Return the share of an effect's squared force that must remain beside the model's own."""
     return options.told_exactly if effect.exact else options.told_from_model
+
+
+def lacked(point: ForceModel, effects: Sequence[Effect], training: Training) -> list[Effect]:
+    """Return the effects without linear forces that a change of a model's parameters gives.
+
+    point: the declared model. Beside an effect that bends its signals, such a force would not be
+    one of its parameters exactly, but it has no more to say.
+    """
+    options, beside = SearchOptions(), Beside.of(point, training)
+    return [
+        e
+        for e in effects
+        if not e.linear
+        or any(taken_at(beside, e, s, told_share(e, options)) is not None for s in e.grid)
+    ]
 
 
 def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: float) -> float | None:

@@ -13,7 +13,7 @@ from ....model.effects.base import Effect, Placed
 from ...rounding import TINY
 from ..search_options import SearchOptions
 from .force_record import ForceModel
-from .free_numbers import amplitudes_of, numbers_of
+from .free_numbers import amplitudes_of, at_limits, numbers_of
 from .held_out_gain import Blocks, Columns, block_sums, bounded, error_of_mean
 from .rated_candidate import Rated, confirmed, missing_after
 from .training_records import Training, missing_share
@@ -168,8 +168,12 @@ class _Fitted:
         last = replace(rated, placed=point.placed[-1])
         # A shape that the records hardly determine would move far by a fit without a block.
         kept = len(columns[0]) - numbers_of(last.placed) + amplitudes_of(last.placed)
-        held = judged.only(range(kept))
-        left = missing_after(held.coefficients(), [c[:kept] for c in columns], at.missing)
+        # A parameter that the fit left at a limit of its range is not free to go on.
+        names, limited = point.parameters.names, {name for name, _, _ in at_limits(point)}
+        ends = [i for i, name in enumerate(names) if name in limited]
+        free = [i for i in range(kept) if i not in ends]
+        held = judged.only(free)
+        left = missing_after(held.coefficients(), [c[free] for c in columns], at.missing)
         last = replace(last, idle=_idle_amplitudes(held, last.placed, options))
         own = np.maximum(training.noise(point) * at.share**2, TINY)
         more = noise / own  # the missing force is already times the share

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ....model.effects.actuator_chain import same_law
 from ....model.effects.base import Effect, Placed
 from ...rounding import TINY
 from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate, taken_at, told_share
 from .force_record import ForceModel
-from .free_numbers import numbers_of
+from .free_numbers import Shape, numbers_of
 from .held_out_gain import Gain, block_sums, gain_of
 from .training_records import Training, acting_force
 
@@ -103,16 +104,36 @@ def rate(
     for effect in candidates:
         told = told_share(effect, options)
         taken = [(taken_at(rest, effect, s, told), s) for s in effect.grid]
-        best = max(((t, s) for t, s in taken if t is not None), default=None)
-        if best is not None:
-            screened.append((best[0], effect, best[1]))
+        starts = sorted(((t, s) for t, s in taken if t is not None), reverse=True)
+        if starts:
+            best = starts[0][1]
+            screened.append((starts[0][0], effect, [best, *_apart(best, starts)]))
     screened.sort(key=lambda s: -s[0])
+    distinct = [
+        one
+        for i, one in enumerate(screened)
+        if not any(same_law(one[1], better[1]) for better in screened[:i])
+    ]
     found = []
-    for _, effect, shape in screened[: options.fitted]:
-        placed = fitted_candidate(rest, effect, shape, told_share(effect, options))
-        if placed is not None and not placed.lacks_its_own_force:
+    for _, effect, shapes in distinct[: options.fitted]:
+        told = told_share(effect, options)
+        fits = [fitted_candidate(rest, effect, shape, told) for shape in shapes]
+        kept = [p for p in fits if p is not None and not p.lacks_its_own_force]
+        if kept:
+            placed = max(kept, key=lambda p: taken_at(rest, effect, p.shape, told) or 0.0)
             found.append(rated_beside(whole, rest, placed, instead_of))
     return sorted(found, key=by_gain)
+
+
+def _apart(best: Shape, starts: Sequence[tuple[float, Shape]]) -> list[Shape]:
+    """Return the next best start that differs from the best one in each of several numbers.
+
+    Numbers that a narrow valley ties together, as gap and current of a magnet, are found from one
+    of its sides only.
+    """
+    others = (s for _, s in starts if all(a != b for a, b in zip(s, best, strict=True)))
+    other = next(others, None)
+    return [] if other is None or len(best) < 2 else [other]
 
 
 def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:
@@ -147,7 +168,7 @@ def _force_share(
     It is without weights, and the largest of all DOF. `coefficients` are those of both models,
     fitted with weights.
     """
-    one, other = whole.plain, rest.plain
+    one, other = whole.relative, rest.relative
     changes = other.training.effect_changes(other.at, placed)
     more = other.training.effect_columns(other.at, changes)
     columns = [np.concatenate(pair) for pair in zip(other.own, more, strict=True)]

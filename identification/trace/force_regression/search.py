@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ....model.effects.actuator_chain import same_law
+from ....model.effects.actuator_chain import delayed, same_law
 from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
@@ -251,11 +251,9 @@ def _ranking(
 ) -> list[Rated]:
     point = state.point
     fresh = [e for e in table if e.identity not in state.dropped]
-    ranking = rate(point, _new(fresh, point.placed), training, options)
+    ranking = rate(point, _new(fresh, point), training, options)
     for p in point.placed:
-        instead = [
-            e for e in _asked(fresh, point.placed) if e != p.effect and _exclude(e, p.effect)
-        ]
+        instead = [e for e in _asked(fresh, point) if e != p.effect and _exclude(e, p.effect)]
         ranking += rate(point, instead, training, options, p)
     return sorted(ranking, key=by_gain)
 
@@ -329,20 +327,21 @@ def _distinct_choices(
     return tuple(found)
 
 
-def _new(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
+def _new(table: Sequence[Effect], point: ForceModel) -> list[Effect]:
     """Return the effects of a table that may act beside those of a model."""
-    asked = _asked(table, placed)
-    return [e for e in asked if not any(_exclude(e, p.effect) for p in placed)]
+    asked = _asked(table, point)
+    return [e for e in asked if not any(_exclude(e, p.effect) for p in point.placed)]
 
 
-def _asked(table: Sequence[Effect], placed: Sequence[Placed]) -> list[Effect]:
-    """Return the effects of a table that are asked beside others.
+def _asked(table: Sequence[Effect], point: ForceModel) -> list[Effect]:
+    """Return the effects of a table that are asked beside those of a model.
 
-    Each law is asked once: whether it is before or behind a lag, the fits decide.
+    A law is asked before and behind a lag: behind a slow one it is another force.
     """
+    placed, lagging = point.placed, point.model.lagging
     there = {(p.effect.key, p.effect.where) for p in placed}
-    once = [e for e in table if not e.before_lag]
-    return [e for e in once if not e.beside or (e.beside, e.where) in there]
+    some = [e for e in table if not e.before_lag or delayed(e, placed, lagging)]
+    return [e for e in some if not e.beside or (e.beside, e.where) in there]
 
 
 def _exclude(one: Effect, other: Effect) -> bool:
@@ -416,15 +415,16 @@ def _against_rivals(
             continue
         rated = state.rated[identity]
         kept = tuple(p for p in state.point.placed if p is not own)
+        bare = replace(state.point, placed=kept)
         contenders = [e for r in state.rated.values() for e in r.contenders]
         known = {(e.key, e.where) for e in contenders}
         contenders += [e for e in named if (e.beside, e.where) in known]
         if at_place:
-            contenders += [e for e in _asked(named, kept) if e.where == own.effect.where]
-        rivals = [own.effect, *(e for e in _new(contenders, kept) if not same_law(e, own.effect))]
+            contenders += [e for e in _asked(named, bare) if e.where == own.effect.where]
+        rivals = [own.effect, *(e for e in _new(contenders, bare) if not same_law(e, own.effect))]
         rivals = list({e.identity: e for e in rivals}.values())
-        rest = training.fit(replace(state.point, placed=kept))
-        ranking = rate(rest, rivals, training, options)
+        rest = training.fit(bare)
+        ranking = _with_present_numbers(rate(rest, rivals, training, options), own, rest, training)
         first = next((r for r in ranking if confirmed(r, options)), None)
         if first is None:
             continue
@@ -436,6 +436,19 @@ def _against_rivals(
         others[best.placed.effect.identity] = best
         state = replace(state, point=point, rated=_by_law(others, point))
     return state
+
+
+def _with_present_numbers(
+    ranking: Sequence[Rated], own: Placed, rest: ForceModel, training: Training
+) -> list[Rated]:
+    """Return a ranking beside the model `rest`, an effect that was found with the numbers that it
+    has if these gain more there than those of a fit from its start values."""
+    beside = Beside.of(rest, training)
+    now = rated_beside(beside, beside, own, None)
+    afresh = [r for r in ranking if r.placed.effect == own.effect]
+    best = min([now, *afresh], key=by_gain)
+    others = [r for r in ranking if r.placed.effect != own.effect]
+    return sorted([best, *others], key=by_gain)
 
 
 def _by_law(rated: Mapping[str, Rated], point: ForceModel) -> dict[str, Rated]:

@@ -33,9 +33,9 @@ from ..records.coil_load_history import in_one_session
 from ..records.initial_guesses import extent
 from ..records.read_records import read_records
 from ..records.record_from_log import TraceRecord
-from ..records.searched_effects import searched_effects
+from ..records.searched_effects import SearchedEffects, searched_effects
 from ..search_options import SearchOptions
-from .candidate_fit import Beside
+from .candidate_fit import Beside, lacked
 from .certainty_of_effects import Certainty, without_effect
 from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
@@ -164,19 +164,13 @@ def _traced(
     training, start, held = _unweighed(start, fitted, limit_hz, options)
     training, declared = _weighed(training, start, (), options)
     covered = _with_lines(covered, declared, fitted, limit_hz)
-    table = searched_effects(effects, declared.placed, places, covered, overlap(records))
+    table = _lacking(effects, declared, training, covered, overlap(records))
     free = [e for e in table.free if e.where[0] in places.dof]
 
-    def searched(training: Training, begun: Searched | None) -> tuple[Searched, Certainty]:
+    def searched(training: Training, begun: Searched | None) -> Searched:
         found = search(declared, table.named, free, training, options, progress, begun)
         found = with_simpler_laws(found, table.named, training, options)
-        found = with_plain_laws(found, training, options)
-        progress("intervals", options.share_done(options.most_effects))
-        last = judged(found, training)
-        while (empty := last.says_nothing(options)) is not None:
-            found = without_effect(found, empty, training)
-            last = judged(found, training)
-        return last.found, last
+        return with_plain_laws(found, training, options)
 
     def judged(found: Searched, training: Training) -> Certainty:
         others = [
@@ -192,12 +186,17 @@ def _traced(
         parts = _between_turns(found.point, training, options)
         return Certainty.of(found, fitted, training, others, options, unbiased, parts)
 
-    found, last = searched(training, None)
-    if training.whitening.flat and found.rated:
-        # What was missing may have been why the weights were refused.
-        training, point = _weighed(training, found.point, found.rated, options)
-        if not training.whitening.flat:
-            found, last = searched(training, replace(found, point=point))
+    found = searched(training, None)
+    if found.rated and not training.describes(found.point, options):
+        # What was missing may have been why the weights were refused, or most of them.
+        weighed, point = _weighed(training, found.point, found.rated, options)
+        if weighed is not training:
+            training, found = weighed, searched(weighed, replace(found, point=point))
+    progress("intervals", options.share_done(options.most_effects))
+    last = judged(found, training)
+    while (empty := last.says_nothing(options)) is not None:
+        last = judged(without_effect(last.found, empty, training), training)
+    found = last.found
     curves = curves_beside_laws(found.point, free, training, options)
     progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
     if not found.rated:
@@ -226,6 +225,19 @@ def _with_lines(
         ripples=periods.ripples,
         tones_hz=missing_lines(declared, fitted),
     )
+
+
+def _lacking(
+    effects: Callable[[Places, Extent], Sequence[Effect]],
+    declared: ForceModel,
+    training: Training,
+    covered: Extent,
+    overlapping: str,
+) -> SearchedEffects:
+    """Return the effects that the records can show and that the declared model lacks."""
+    places = training.records[0].signals.places
+    table = searched_effects(effects, declared.placed, places, covered, overlapping)
+    return replace(table, named=tuple(lacked(declared, table.named, training)))
 
 
 def _at_limits(point: ForceModel) -> tuple[str, ...]:

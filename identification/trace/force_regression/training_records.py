@@ -292,7 +292,9 @@ class Training:
                 force = np.concatenate([g[kind, :, i] for g in at.groups])
                 left = _beside(J, force)
                 scale[kind, i] = left @ left > told_from_model * float(force @ force)
-        free = ~scale.any(axis=0)
+        all_free = _all_free(at, changes, told_from_model)
+        free = ~scale.any(axis=0) | all_free
+        scale[:, free] = 0.0
         powers = np.sum([np.sum(g**2, axis=1) for g in at.groups], axis=0)
         first = np.where(powers[0] > 0.0, 0, np.argmax(powers, axis=0))
         scale[first[free], np.flatnonzero(free)] = 1.0
@@ -301,7 +303,7 @@ class Training:
             self,
             scale=scale,
             reference=np.where(free, reference, np.nan),
-            all_free=_all_free(at, changes, told_from_model),
+            all_free=all_free,
         )
 
     def counts(self, at: Evaluated, amplitudes: Array, pull: Array) -> NDArray[np.bool_]:
@@ -326,6 +328,17 @@ class Training:
         """Sum of squares of a model that leaves what the weights are made of: the number of
         independent values; nan for weights that are flat, and of no unit."""
         return float("nan") if self.whitening.flat else self.independent
+
+    def describes(self, point: ForceModel, options: SearchOptions) -> bool:
+        """Return whether the weights of each DOF are about those of what a model leaves.
+
+        They are not if they are flat, and if an effect that was missing was most of what they are
+        made of: what it hid then hardly counts.
+        """
+        if self.whitening.flat:
+            return False
+        squares = np.sum([np.sum(m * m, axis=0) for m in self.at(point).missing], axis=0)
+        return bool(np.all(squares * len(squares) * options.much_left**2 > self.expected))
 
     def cost(self, point: ForceModel) -> float:
         """Return the sum of squares of the missing force, and of the parameters' priors.

@@ -128,6 +128,25 @@ def _rest_of_rig(result: Outcome) -> str:
     return " ".join(parts)
 
 
+def _described(result: ForceOutcome) -> list[str]:
+    """Return a clause on what a free form describes and no law does, if it matters."""
+    if result.lacks or not result.form_matters:
+        return []
+    left = [
+        f"{form:.3g} %" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
+        for name, form, after in zip(
+            result.dof, result.free_form, result.after.force_percent, strict=True
+        )
+        if form < after
+    ]
+    what = "something else" if result.laws else "something"
+    clause = (
+        f"the model lacks {what}: a free form of all signals leaves {', '.join(left)} of the rows "
+        "that were fitted"
+    )
+    return [clause] if left else []
+
+
 def _rest_of_imported(result: ForceOutcome) -> str:
     """Return a sentence on the missing force, before and after."""
     less, more, same = list[str](), list[str](), list[str]()
@@ -140,7 +159,7 @@ def _rest_of_imported(result: ForceOutcome) -> str:
         else:
             changed = more if after > before else less
             changed.append(f"from {before:.3g} to {after:.3g} %{at}")
-    lacks = "".join(f" {_sentence(clause)}" for clause in result.lacks)
+    lacks = "".join(f" {_sentence(clause)}" for clause in (*result.lacks, *_described(result)))
     if result.laws:
         whole = [np.linalg.norm(e.force_percent) for e in (result.before, result.after)]
         verbs = [("falls", less), ("rises", more), ("stays", same)]

@@ -69,7 +69,9 @@ def fitted_rivals(
     # What is no law in the form that it needs explains nothing that a law explains as well.
     alike = [f for f in alike if f.is_law] or alike
     support = _support([f for f in fitted if f.is_law] or fitted, ranking, options)
+    containing = [f.rated for f in alike[1:] if _richer(f, alike[0], inputs)]
     named = [replace(f.rated, support=support(f.rated)) for f in alike]
+    named[0] = replace(named[0], support=support(alike[0].rated, *containing))
     contenders = tuple(r.placed.effect for r in ranking)
     others = tuple(
         r
@@ -287,9 +289,9 @@ def _worse(one: _Fitted, best: _Fitted, blocks: Blocks, options: SearchOptions) 
 
 def _support(
     fitted: Sequence[_Fitted], ranking: Sequence[Rated], options: SearchOptions
-) -> Callable[[Rated], float]:
+) -> Callable[..., float]:
     """Return the function that gives the share of resamples of the blocks in which the class and
-    place of a candidate gain most of all."""
+    place of a candidate, or of richer laws that contain it, gain most of all."""
     gains = np.array([r.gain.raw for r in ranking])
     errors = np.array([f.errors for f in fitted])
     rng = np.random.default_rng(0)
@@ -302,8 +304,9 @@ def _support(
 
     kinds = [kind(f.rated) for f in fitted]
 
-    def share(rated: Rated) -> float:
-        same = [i for i, other in enumerate(kinds) if other == kind(rated)]
+    def share(*rated: Rated) -> float:
+        own = {kind(one) for one in rated}
+        same = [i for i, other in enumerate(kinds) if other in own]
         return float(np.mean(np.isin(wins, same) & ~none))
 
     return share

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,8 +107,7 @@ def rate(
         taken = [(taken_at(rest, effect, s, told), s) for s in effect.grid]
         starts = sorted(((t, s) for t, s in taken if t is not None), reverse=True)
         if starts:
-            best = starts[0][1]
-            screened.append((starts[0][0], effect, [best, *_apart(best, starts)]))
+            screened.append((starts[0][0], effect, _begins(effect, [s for _, s in starts])))
     screened.sort(key=lambda s: -s[0])
     distinct = [
         one
@@ -125,15 +125,18 @@ def rate(
     return sorted(found, key=by_gain)
 
 
-def _apart(best: Shape, starts: Sequence[tuple[float, Shape]]) -> list[Shape]:
-    """Return the next best start that differs from the best one in each of several numbers.
+def _begins(effect: Effect, shapes: Sequence[Shape]) -> list[Shape]:
+    """Return the shapes from which an effect is fitted, of its start values, best first.
 
-    Numbers that a narrow valley ties together, as gap and current of a magnet, are found from one
-    of its sides only.
+    A grid that does not resolve each of several numbers may miss a narrow valley that ties them
+    together, as gap and current of a magnet: it is found from one of its sides only. So the second
+    begin is the next best one that differs in each number.
     """
-    others = (s for _, s in starts if all(a != b for a, b in zip(s, best, strict=True)))
-    other = next(others, None)
-    return [] if other is None or len(best) < 2 else [other]
+    best = shapes[0]
+    if len(best) < 2 or len(effect.grid) >= SearchOptions.resolved ** len(best):
+        return [best]
+    apart = (s for s in shapes if all(a != b for a, b in zip(s, best, strict=True)))
+    return [best, *islice(apart, 1)]
 
 
 def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed | None) -> Rated:

@@ -80,9 +80,22 @@ def search(
             break
         state = _without_idle(after, training, options)
         state, nearest = _grown(state, named, training, options, progress)
-    progress("comparing rivals", options.share_done(options.most_effects))
-    if len(state.rated) > 1:
-        state = _against_rivals(state, list(state.rated), named, training, options, at_place=True)
+    return _found(state, nearest, options)
+
+
+def compared(
+    found: Searched, named: Sequence[Effect], training: Training, options: SearchOptions
+) -> Searched:
+    """Compare the effects of a search with all laws at their places, once all others are found."""
+    if len(found.rated) < 2:
+        return found
+    rated = {r.placed.effect.identity: r for r in found.rated}
+    state = _State(found.point, rated, found.dropped)
+    state = _against_rivals(state, list(rated), named, training, options, at_place=True)
+    return _found(state, found.nearest, options)
+
+
+def _found(state: _State, nearest: Sequence[Rated], options: SearchOptions) -> Searched:
     last = {p.effect.identity: p for p in state.point.placed}
     final = [replace(r, placed=last[key]) for key, r in state.rated.items()]
     final.sort(key=lambda r: (is_free(r.placed), -r.force))

@@ -49,7 +49,7 @@ from .reported_errors import PooledError, ReportedError, output_noise, reported_
 from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
 from .scale_of_equations import with_told_scales
-from .search import Progress, Searched, search
+from .search import Progress, Searched, compared, search
 from .simpler_laws import with_plain_laws, with_simpler_laws
 from .training_records import Training, missing_share
 
@@ -168,9 +168,7 @@ def _traced(
     free = [e for e in table.free if e.where[0] in places.dof]
 
     def searched(training: Training, begun: Searched | None) -> Searched:
-        found = search(declared, table.named, free, training, options, progress, begun)
-        found = with_simpler_laws(found, table.named, training, options)
-        return with_plain_laws(found, training, options)
+        return search(declared, table.named, free, training, options, progress, begun)
 
     def judged(found: Searched, training: Training) -> Certainty:
         others = [
@@ -192,8 +190,11 @@ def _traced(
         weighed, point = _weighed(training, found.point, found.rated, options)
         if weighed is not training:
             training, found = weighed, searched(weighed, replace(found, point=point))
+    progress("comparing rivals", options.share_done(options.most_effects))
+    found = compared(found, table.named, training, options)
+    found = with_simpler_laws(found, table.named, training, options)
     progress("intervals", options.share_done(options.most_effects))
-    last = judged(found, training)
+    last = judged(with_plain_laws(found, training, options), training)
     while (empty := last.says_nothing(options)) is not None:
         last = judged(without_effect(last.found, empty, training), training)
     found = last.found

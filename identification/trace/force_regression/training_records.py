@@ -229,9 +229,32 @@ class Training:
 
         rival: cost of a model that this one must reach to matter. The fit ends early once its steps
         have become a tenth of the way to there, as they become shorter still.
+
+        Errors relative to forces that the numbers change are no line in these: far from the end a
+        step may lead anywhere. With one parameter of each such equation held, absolute errors are,
+        and lead near.
         """
         if not point.parameters.names and not point.placed:
             return point
+        free = np.isfinite(self.reference)
+        if not free.any():
+            return self._fit_from(point, rival)
+        held = self._setting_scale(point, free)
+        others = [i for i in range(len(point.parameters.names)) if i not in held]
+        absolute = replace(self, reference=np.full(len(free), np.nan))
+        near = absolute._fit_from(replace(point, parameters=point.parameters.only(others)), 0.0)
+        begins = point, replace(near, parameters=point.parameters)
+        return min((self._fit_from(begin, rival) for begin in begins), key=self.cost)
+
+    def _setting_scale(self, point: ForceModel, free: NDArray[np.bool_]) -> set[int]:
+        """Return for each of some equations the parameter that the force by which it is scaled
+        changes most with."""
+        changes = self._parameter_changes(self.at(point))
+        sizes = np.sum([np.sum(c * c, axis=2) for c in changes], axis=0)  # (F, groups, n)
+        own = np.einsum("fkn,kn->fn", sizes, self.scale)
+        return {int(np.argmax(own[:, i])) for i in np.flatnonzero(free) if len(own)}
+
+    def _fit_from(self, point: ForceModel, rival: float) -> ForceModel:
         squares, begin = self.cost(point), point
         for _ in range(SearchOptions.steps):
             step, _ = self.step(point, way(begin, point))

@@ -34,5 +34,22 @@ def test_the_missing_force_of_each_dof_falls_stays_or_rises(
         after=SimpleNamespace(force_percent=after),
         laws=("a law",),
         lacks=(),
+        form_matters=False,
     )
     assert _rest_of_imported(result) == f"The missing force {said}"  # type: ignore[arg-type]
+
+
+def test_what_a_free_form_describes_and_no_law_does_is_said() -> None:
+    result = SimpleNamespace(
+        dof=("a",),
+        before=SimpleNamespace(force_percent=(87.4,)),
+        after=SimpleNamespace(force_percent=(87.4,)),
+        free_form=(3.21,),
+        laws=(),
+        lacks=(),
+        form_matters=True,
+    )
+    assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
+        "The model lacks something: a free form of all signals leaves 3.21 % of the rows that were "
+        "fitted."
+    )

@@ -1,0 +1,79 @@
+"""Test equations that no input is in: all of their terms are free, and only one is shared."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import solve_continuous_are
+
+from levid.benchmarks.trace.imported_plant_simulation import Acting, Kind, Linear, simulated
+from levid.config.base import parse_text
+from levid.config.model import ModelConfig
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.trace.force_regression.force_trace_summary import force_summary
+from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
+from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.model.effects.candidate_effects import all_effects
+
+CART = """
+levid: model
+name: cart
+dof: [{name: x, unit: m}, {name: arm, unit: rad}]
+inputs: [{name: f, unit: N}]
+parameters:
+  mt: {value: 1.25, unit: kg, min: 0.1, max: 10}
+  ml: {value: 0.05, unit: kg m, min: 0, max: 1}
+  j: {value: 0.028, unit: kg m^2, min: 0.0001, max: 1}
+  d: {value: 5, unit: N s/m, min: 0, max: 100}
+  c: {value: 0.001, unit: N m s/rad, min: 0, max: 1}
+  g: {value: 9.81, unit: m/s^2, fixed: true}
+M: [[mt, ml], [ml, j]]
+D: [[d, 0], [0, c]]
+K: [[0, 0], [0, -ml * g]]
+B: [[1], [0]]
+"""
+MT, ML, J, D, C, G = 1.1, 0.06, 0.024, 4.0, 0.002, 9.81
+TS = 0.005
+
+
+def traced(seed: int, *acting: Acting) -> ForceTrace:
+    """Trace a record of a pendulum that a cart balances."""
+    rng, rows, none = np.random.default_rng(seed), 8000, np.zeros((2, 2))
+    M = np.array([[MT, ML], [ML, J]])
+    rates = -np.linalg.solve(M, np.hstack([np.diag([0.0, -ML * G]), np.diag([D, C])]))
+    A = np.vstack([np.hstack([none, np.eye(2)]), rates])
+    B = np.concatenate([np.zeros(2), np.linalg.solve(M, [1.0, 0.0])])[:, None]
+    cost = solve_continuous_are(A, B, np.diag([100.0, 50.0, 1.0, 1.0]), 0.3 * np.eye(1))
+    gains = B.T @ cost / 0.3
+    plant = Linear(
+        M, np.diag([D, C]), np.diag([0.0, -ML * G]), np.array([[1.0], [0.0]]),
+        gains[:, :2], gains[:, 2:] / TS, np.array([1e-5, 2.5e-4]), TS, 20,
+    )  # fmt: skip
+    force = rng.normal(size=rows + 60)
+    for _ in range(2):
+        force = np.convolve(force, np.ones(30) / 30, mode="same")
+    v = (3.0 * force[:rows] / force.std())[:, None]
+    moved = simulated(plant, v, rng, *acting)
+    config = parse_text(CART, ModelConfig, "cart")
+    record = Experiment("r", TS, moved.u, moved.y, {}, frozenset(), False, feedback=True)
+    records = [imported_trace_record(record, config)]
+    return trace_records(records, config, all_effects, lambda *_: None)
+
+
+def test_noise_does_not_make_the_numbers_of_such_an_equation_small():
+    found = traced(1)
+    assert not found.found.rated
+    point = found.found.point
+    values = dict(zip(point.parameters.names, point.values.tolist(), strict=True))
+    errors = dict(zip(point.parameters.names, found.errors.tolist(), strict=True))
+    for name, true in (("mt", MT), ("ml", ML), ("j", J), ("d", D), ("c", C)):
+        assert abs(values[name] - true) < 3.0 * errors[name], name
+    assert 0.0 < errors["ml"] < 0.05 * ML
+
+
+def test_effect_in_such_an_equation_is_found():
+    """A spring at the pendulum, beside numbers that are all free."""
+    stiffening = Acting(Kind.CUBIC, 1, np.array([40.0]))
+    (law,) = force_summary(traced(2, stiffening))["effects"]
+    assert "stiffness" in {law["class"], *(a["class"] for a in law["alternatives"])}
+    assert law["where"] == ["arm"]
+    assert not law["evidence"]["doubtful"]

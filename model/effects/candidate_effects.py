@@ -30,6 +30,7 @@ from . import (
     output_readings,
     rate_limit,
     relative_motion_laws,
+    rotating_arm_inertia,
     rotor,
     scale_and_arm_length,
     sensor_dynamic,
@@ -37,7 +38,6 @@ from . import (
     stiffness,
     swinging_coupling,
     torque_ripple,
-    turned_inertia,
     vibration,
 )
 from .base import Effect, Places, resolved
@@ -74,7 +74,7 @@ def all_effects(places: Places, extent: Extent | None = None) -> tuple[Effect, .
         *scale_and_arm_length.effects(places),
         *gravity.effects(places),
         *swinging_coupling.effects(places),
-        *turned_inertia.effects(places),
+        *rotating_arm_inertia.effects(places),
         *backlash.effects(places, covered),
         *load_behind_gap.effects(places, covered),
         *motor_cogging.effects(places, covered),

@@ -131,13 +131,15 @@ def told_share(effect: Effect, options: SearchOptions) -> float:
     return options.told_exactly if effect.exact else options.told_from_model
 
 
-def lacked(point: ForceModel, effects: Sequence[Effect], training: Training) -> list[Effect]:
-    """Return the effects without linear forces that a change of a model's parameters gives.
+def lacked(
+    point: ForceModel, effects: Sequence[Effect], training: Training, options: SearchOptions
+) -> list[Effect]:
+    """Return the effects of a table that a model, the declared one, lacks.
 
-    point: the declared model. Beside an effect that bends its signals, such a force would not be
-    one of its parameters exactly, but it has no more to say.
+    A linear force that one of its free parameters gives is not among them. It would differ from
+    that parameter beside an effect that bends the signals, without being another cause.
     """
-    options, beside = SearchOptions(), Beside.of(point, training)
+    beside = Beside.of(point, training)
     return [
         e
         for e in effects

@@ -164,7 +164,7 @@ def _traced(
     training, start, held = _unweighed(start, fitted, limit_hz, options)
     training, declared = _weighed(training, start, (), options)
     covered = _with_lines(covered, declared, fitted, limit_hz)
-    table = _lacking(effects, declared, training, covered, overlap(records))
+    table = _lacking(effects, declared, training, covered, overlap(records), options)
     free = [e for e in table.free if e.where[0] in places.dof]
 
     def searched(training: Training, begun: Searched | None) -> Searched:
@@ -185,7 +185,7 @@ def _traced(
         return Certainty.of(found, fitted, training, others, options, unbiased, parts)
 
     found = searched(training, None)
-    if found.rated and not training.describes(found.point, options):
+    if found.rated and not training.weighs_what_is_left(found.point, options):
         # What was missing may have been why the weights were refused, or most of them.
         weighed, point = _weighed(training, found.point, found.rated, options)
         if weighed is not training:
@@ -234,11 +234,12 @@ def _lacking(
     training: Training,
     covered: Extent,
     overlapping: str,
+    options: SearchOptions,
 ) -> SearchedEffects:
     """Return the effects that the records can show and that the declared model lacks."""
     places = training.records[0].signals.places
     table = searched_effects(effects, declared.placed, places, covered, overlapping)
-    return replace(table, named=tuple(lacked(declared, table.named, training)))
+    return replace(table, named=tuple(lacked(declared, table.named, training, options)))
 
 
 def _at_limits(point: ForceModel) -> tuple[str, ...]:
@@ -353,7 +354,7 @@ def _between_turns(
 ) -> tuple[Training, ...]:
     """Return the training records without the turns of DOF with friction.
 
-    None if there is no friction, or too few rows are left.
+    Empty if there is no friction, or too few rows are left.
     """
     names = training.records[0].signals.places.dof
     rubbing = {

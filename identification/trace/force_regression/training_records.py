@@ -230,9 +230,9 @@ class Training:
         rival: cost of a model that this one must reach to matter. The fit ends early once its steps
         have become a tenth of the way to there, as they become shorter still.
 
-        Errors relative to forces that the numbers change are no line in these: far from the end a
-        step may lead anywhere. With one parameter of each such equation held, absolute errors are,
-        and lead near.
+        Errors relative to forces that the numbers change are not linear in these: far from the end
+        a step may lead anywhere. Absolute errors are linear; with one parameter of each such
+        equation held, a fit to them leads near.
         """
         if not point.parameters.names and not point.placed:
             return point
@@ -247,8 +247,8 @@ class Training:
         return min((self._fit_from(begin, rival) for begin in begins), key=self.cost)
 
     def _setting_scale(self, point: ForceModel, free: NDArray[np.bool_]) -> set[int]:
-        """Return for each of some equations the parameter that the force by which it is scaled
-        changes most with."""
+        """Return the number of one parameter for each equation that is `free` (n,) in its scale:
+        the one that changes the force which sets the scale most."""
         changes = self._parameter_changes(self.at(point))
         sizes = np.sum([np.sum(c * c, axis=2) for c in changes], axis=0)  # (F, groups, n)
         own = np.einsum("fkn,kn->fn", sizes, self.scale)
@@ -352,11 +352,11 @@ class Training:
         independent values; nan for weights that are flat, and of no unit."""
         return float("nan") if self.whitening.flat else self.independent
 
-    def describes(self, point: ForceModel, options: SearchOptions) -> bool:
-        """Return whether the weights of each DOF are about those of what a model leaves.
+    def weighs_what_is_left(self, point: ForceModel, options: SearchOptions) -> bool:
+        """Return whether the weights of each DOF follow what a model leaves of it.
 
-        They are not if they are flat, and if an effect that was missing was most of what they are
-        made of: what it hid then hardly counts.
+        They do not if they are flat, or if most of what they were made of has been explained since:
+        what that hid hardly counts with them.
         """
         if self.whitening.flat:
             return False

@@ -1,4 +1,4 @@
-"""Test the inertia of arms against Lagrange: a pendulum on a cart, two links, turned arms."""
+"""Test the inertia of arms against Lagrange: a pendulum on a cart, two links, rotating arms."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.trace.records.record_from_log import imported_places
-from levid.model.effects.base import Placed, Signals
+from levid.model.effects.base import Placed, Places, Signals
 from levid.model.effects.candidate_effects import all_effects
 
 Array = NDArray[np.float64]
@@ -30,12 +30,19 @@ B: [[1.0], [0.0]]
 """
 
 
+def moving(places: Places, seed: int, rows: int) -> Signals:
+    """Return random positions, speeds and accelerations of two DOF, with one input at rest."""
+    rng = np.random.default_rng(seed)
+    q, qd, qdd = (rng.standard_normal((rows, 2)) for _ in range(3))
+    none = tuple(np.zeros(rows) for _ in range(6))
+    t = np.arange(rows) * 1e-2
+    return Signals(1e-2, t, q, qd, qdd, np.zeros((rows, 1)), *none, 0, places)
+
+
 def test_force_is_what_the_declared_coupling_lacks() -> None:
     places = imported_places(parse_text(MODEL, ModelConfig, "cart"))
-    t, rng = np.arange(500) * 1e-2, np.random.default_rng(1)
-    q, qd, qdd = (rng.standard_normal((500, 2)) for _ in range(3))
-    none = tuple(np.zeros(500) for _ in range(6))
-    s = Signals(1e-2, t, q, qd, qdd, np.zeros((500, 1)), *none, 0, places)
+    s = moving(places, 1, 500)
+    q, qd, qdd = s.q, s.qd, s.qdd
     (effect,) = (e for e in all_effects(places) if e.key == "inertia.swinging")
     assert effect.where == ("x", "arm")
     assert effect.amplitudes[0].unit == "N s^2"
@@ -59,10 +66,7 @@ ARM = MODEL.replace("name: x, unit: m}", "name: x, unit: rad}").replace(
 def test_two_links_have_the_force_of_their_lagrangian(key: str) -> None:
     """The kinetic energy of the coupling is that of bent links, at every pose and motion."""
     places = imported_places(parse_text(ARM, ModelConfig, "arm"))
-    rng = np.random.default_rng(2)
-    q, qd, qdd = (rng.standard_normal((50, 2)) for _ in range(3))
-    none = tuple(np.zeros(50) for _ in range(6))
-    s = Signals(1e-2, np.arange(50) * 1e-2, q, qd, qdd, np.zeros((50, 1)), *none, 0, places)
+    s = moving(places, 2, 50)
     effect = next(e for e in all_effects(places) if e.key == key)
     assert effect.where == ("x", "arm")
     size, bent = 0.3, 0.4  # h, and the angle at which both DOF are zero
@@ -73,9 +77,9 @@ def test_two_links_have_the_force_of_their_lagrangian(key: str) -> None:
             return float(size * np.cos(a + bent) * (v * v + v * w))
         return float(size * np.cos(a - x + bent) * v * w)
 
-    declared = energy_force(lambda x, a, v, w: energy(0.0, 0.0, v, w), q, qd, qdd)
+    declared = energy_force(lambda x, a, v, w: energy(0.0, 0.0, v, w), s.q, s.qd, s.qdd)
     np.testing.assert_allclose(
-        found, declared - energy_force(energy, q, qd, qdd), atol=1e-4 * np.abs(found).max()
+        found, declared - energy_force(energy, s.q, s.qd, s.qdd), atol=1e-4 * np.abs(found).max()
     )
 
 
@@ -100,15 +104,12 @@ def energy_force(energy: Energy, q: Array, qd: Array, qdd: Array) -> Array:
 
 
 @pytest.mark.parametrize("key", ["inertia.tilting", "inertia.extending"])
-def test_a_turned_arm_has_the_force_of_its_lagrangian(key: str) -> None:
+def test_a_rotating_arm_has_the_force_of_its_lagrangian(key: str) -> None:
     """A Furuta pendulum and a polar arm, at every pose and motion."""
     tilts = key == "inertia.tilting"
     text = ARM if tilts else ARM.replace("name: arm, unit: rad}", "name: arm, unit: m}")
     places = imported_places(parse_text(text, ModelConfig, "arm"))
-    rng = np.random.default_rng(3)
-    q, qd, qdd = (rng.standard_normal((50, 2)) for _ in range(3))
-    none = tuple(np.zeros(50) for _ in range(6))
-    s = Signals(1e-2, np.arange(50) * 1e-2, q, qd, qdd, np.zeros((50, 1)), *none, 0, places)
+    s = moving(places, 3, 50)
     effect = next(e for e in all_effects(places) if e.key == key)
     assert effect.where == ("x", "arm")
     size, at_zero = 0.3, 0.4  # and the angle, or the length, where the DOF are zero
@@ -119,7 +120,7 @@ def test_a_turned_arm_has_the_force_of_its_lagrangian(key: str) -> None:
         arm = np.sin(a + at_zero) if tilts else a + at_zero
         return float(0.5 * size * arm**2 * v * v)
 
-    declared = energy_force(lambda _x, _a, v, _w: energy(0.0, 0.0, v, 0.0), q, qd, qdd)
+    declared = energy_force(lambda _x, _a, v, _w: energy(0.0, 0.0, v, 0.0), s.q, s.qd, s.qdd)
     np.testing.assert_allclose(
-        found, declared - energy_force(energy, q, qd, qdd), atol=1e-4 * np.abs(found).max()
+        found, declared - energy_force(energy, s.q, s.qd, s.qdd), atol=1e-4 * np.abs(found).max()
     )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import pytest
 from scipy.linalg import solve_continuous_are
 
 from levid.benchmarks.trace.imported_plant_simulation import Acting, Kind, Linear, simulated
@@ -12,7 +15,9 @@ from levid.identification.greybox.experiment.experiment_from_log import Experime
 from levid.identification.trace.force_regression.force_trace_summary import force_summary
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.model.effects.base import Effect, Places
 from levid.model.effects.candidate_effects import all_effects
+from levid.model.effects.operating_range import Extent
 
 CART = """
 levid: model
@@ -33,9 +38,12 @@ B: [[1], [0]]
 """
 MT, ML, J, D, C, G = 1.1, 0.06, 0.024, 4.0, 0.002, 9.81
 TS = 0.005
+Table = Callable[[Places, Extent], list[Effect]]
 
 
-def traced(seed: int, *acting: Acting, noise_rad: float = 2.5e-4) -> ForceTrace:
+def traced(
+    seed: int, *acting: Acting, noise_rad: float = 2.5e-4, table: Table = all_effects
+) -> ForceTrace:
     """Trace a record of a pendulum that a cart balances."""
     rng, rows, none = np.random.default_rng(seed), 8000, np.zeros((2, 2))
     M = np.array([[MT, ML], [ML, J]])
@@ -56,18 +64,20 @@ def traced(seed: int, *acting: Acting, noise_rad: float = 2.5e-4) -> ForceTrace:
     config = parse_text(CART, ModelConfig, "cart")
     record = Experiment("r", TS, moved.u, moved.y, {}, frozenset(), False, feedback=True)
     records = [imported_trace_record(record, config)]
-    return trace_records(records, config, all_effects, lambda *_: None)
+    return trace_records(records, config, table, lambda *_: None)
 
 
-def test_noise_does_not_make_the_numbers_of_such_an_equation_small():
-    found = traced(1, noise_rad=3e-3)
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_noise_does_not_make_the_numbers_of_such_an_equation_small(seed: int):
+    """The noise is a tenth of the swing; absolute errors lead to numbers near zero together."""
+    found = traced(seed, noise_rad=3e-3, table=lambda _places, _extent: [])
     assert not found.found.rated
     point = found.found.point
     values = dict(zip(point.parameters.names, point.values.tolist(), strict=True))
     errors = dict(zip(point.parameters.names, found.errors.tolist(), strict=True))
     for name, true in (("mt", MT), ("ml", ML), ("j", J), ("d", D), ("c", C)):
-        assert abs(values[name] - true) < 2.5 * errors[name], name
-    assert 0.0 < errors["ml"] < 0.05 * ML
+        assert abs(values[name] - true) < 3.0 * errors[name], name
+    assert values["ml"] == pytest.approx(ML, rel=0.1)
 
 
 def test_effect_in_such_an_equation_is_found():

@@ -29,13 +29,13 @@ def effects(places: Places) -> list[Effect]:
     found, units = [], places.dof_units
     for i, j in permutations(range(len(units)), 2):
         if units[i] in RADIANS and units[j] == units[i]:
-            found.append(_turned(places, i, j, tilts=True))
+            found.append(_rotating(places, i, j, tilts=True))
         if units[i] == "rad" and units[j] == "m":
-            found.append(_turned(places, i, j, tilts=False))
+            found.append(_rotating(places, i, j, tilts=False))
     return found
 
 
-def _turned(places: Places, i: int, j: int, tilts: bool) -> Effect:
+def _rotating(places: Places, i: int, j: int, tilts: bool) -> Effect:
     """Return the inertia of one DOF that another one changes: an angle, or a length."""
     unit = f"{places.force_unit(i)} s^2"
     change = "c sin^2 q + s sin q cos q" if tilts else "c q^2 + s q"
@@ -44,7 +44,7 @@ def _turned(places: Places, i: int, j: int, tilts: bool) -> Effect:
     c, s = (Quantity(name, u) for name, u in zip("cs", units, strict=True))
     return Effect(
         "inertia.tilting" if tilts else "inertia.extending",
-        f"Inertia of a turned arm that {'tilts' if tilts else 'extends'}",
+        f"Inertia of a rotating arm that {'tilts' if tilts else 'extends'}",
         "inertia",
         (places.dof[i], places.dof[j]),
         f"force = -e x'' - e' q' x' on the first, e' x'^2 / 2 on the second; e = {change}, e' its "

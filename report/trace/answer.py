@@ -141,8 +141,8 @@ def _described(result: ForceOutcome) -> list[str]:
     ]
     what = "something else" if result.laws else "something"
     clause = (
-        f"the model lacks {what}: a free form of all signals leaves {', '.join(left)} of the rows "
-        "that were fitted"
+        f"the model lacks {what}: a free form of all signals leaves {', '.join(left)} in the "
+        "fitted rows"
     )
     return [clause] if left else []
 

@@ -50,6 +50,5 @@ def test_what_a_free_form_describes_and_no_law_does_is_said() -> None:
         form_matters=True,
     )
     assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
-        "The model lacks something: a free form of all signals leaves 3.21 % of the rows that were "
-        "fitted."
+        "The model lacks something: a free form of all signals leaves 3.21 % in the fitted rows."
     )

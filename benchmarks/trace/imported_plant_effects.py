@@ -95,6 +95,9 @@ LAWS = {
     "thinning_grease": Law(
         Kind.THINNING, ("damping",), effect="damping.falling", names=("d", "v_0")
     ),
+    "slow_friction": Law(
+        Kind.LEVELING, ("friction",), effect="friction.leveling_off", names=("friction", "v_0")
+    ),
     "loaded_gear": Law(
         Kind.LOADED_GEAR, ("friction",), True, "actuator.load_friction", ("share", "v_s")
     ),
@@ -115,7 +118,7 @@ _ANYWHERE = (
     "second_order", "thinning_grease", "loaded_gear", "preload",
     "hysteresis",
 )  # fmt: skip
-_RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction")
+_RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction", "slow_friction")
 _LONG = ("cogging", "force_ripple")
 CASES = {
     "drive": (*_ANYWHERE, *_RUBBING, *_LONG),
@@ -306,6 +309,7 @@ def _numbers(
         Kind.DELAY: (0.5 * plant.Ts_s,),
         Kind.THINNING: (3.0 * tenth / w, w * (0.1 + share)),
         Kind.LOADED_GEAR: (0.1, v),
+        Kind.LEVELING: (tenth, 0.2 * w * share),
         Kind.HYSTERESIS: (0.2, (0.1 + share) * u),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))

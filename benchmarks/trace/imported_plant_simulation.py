@@ -57,9 +57,10 @@ class Kind(IntEnum):
     PRELOAD = 31  # -s clip((q - q0) / width, -1, 1)
     BEARING = 32  # s (((1 + i)^2 / (1 - x)^2 - (1 - i)^2 / (1 + x)^2) / 4 - i - x), as MAGNET
     HYSTERESIS = 33  # F = u - s (u - p), p follows u at most half away
+    LEVELING = 34  # -s w / (|w| + v)
 
 
-_FORCES_ON_DOF = (Kind.THINNING, Kind.PRELOAD)
+_FORCES_ON_DOF = (Kind.THINNING, Kind.PRELOAD, Kind.LEVELING)
 """Of the kinds behind those of an input."""
 
 
@@ -143,6 +144,8 @@ def _on_dof(  # noqa: PLR0911, PLR0912 - numba has no match
         return -s[0] * (1.0 + s[2] * np.sin(q / s[3])) * np.tanh(w / s[1])
     if kind == Kind.THINNING:
         return -s[0] * w / (1.0 + np.abs(w) / s[1])
+    if kind == Kind.LEVELING:
+        return -s[0] * w / (np.abs(w) + s[1])
     if kind == Kind.PRELOAD:
         return -s[0] * min(max((q - s[1]) / s[2], -1.0), 1.0)
     if kind == Kind.DRAG_15:

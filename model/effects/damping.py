@@ -20,13 +20,14 @@ from itertools import combinations
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .friction_leveling_off import leveled, leveled_integral
 from .motion_between_rows import law_of_speed
 from .operating_range import Extent
 from .point_force_conversion import forces, heights
 
 _SMALLEST_M = 1e-3
 """The end stops are at 0.9 mm: the film at the working point is at least as thick."""
-_SPEEDS = (0.03, 10.0)
+_SPEEDS = (0.1, 10.0)
 """Range of the speed at which damping has halved, over the RMS speed: below it is dry friction, and
 above it is linear damping."""
 
@@ -202,16 +203,7 @@ def _falling(places: Places, extent: Extent) -> list[Effect]:
 
 def _thinning(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     v_0 = shape[0]
-    return [on_dof(signals, dof, -v_0 * law_of_speed(signals, dof, v_0, _thin, _thin_integral))]
-
-
-def _thin(ratio: Array) -> Array:
-    return np.asarray(ratio / (1.0 + np.abs(ratio)))
-
-
-def _thin_integral(ratio: Array) -> Array:
-    size = np.abs(ratio)
-    return np.asarray(size - np.log1p(size))
+    return [on_dof(signals, dof, -v_0 * law_of_speed(signals, dof, v_0, leveled, leveled_integral))]
 
 
 def _eddy_currents(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

@@ -34,17 +34,19 @@ from .operating_range import Extent
 
 LAWS = tuple(
     f"friction.{law}"
-    for law in ("coulomb", "stribeck", "coulomb_asymmetric", "stribeck_asymmetric", "dahl",
-                "bouc_wen", "lugre", "maxwell_slip")
+    for law in ("coulomb", "leveling_off", "stribeck", "coulomb_asymmetric", "stribeck_asymmetric",
+                "dahl", "bouc_wen", "lugre", "maxwell_slip")
 )  # fmt: skip
 """Keys of the laws of friction between a DOF and the frame. They exclude each other."""
 
 _ELEMENTS = (1.0, 4.0, 16.0)
 """Break-away displacements of the Maxwell elements, relative to the smallest."""
-_WIDE = 1e3
-_DRY = 0.2
+SLOWEST = 1e-3
+"""Smallest speed within which friction turns, over the RMS speed."""
+STILL_DRY = 0.2
 """Largest speed within which dry friction turns, over the RMS speed: a random motion is slower
 for a sixth of the time. What takes longer is a damping that levels off."""
+_WIDE = 1e3
 _LOOPS = "several amplitudes of a slow excitation"
 _ELASTIC = "without slip: stiffness; with fast full slip: offset"
 
@@ -155,8 +157,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 def turning_speed(unit: str, speed: float) -> Quantity:
     """Return v_s, within which friction turns, of a DOF in a unit with an RMS speed."""
-    low, high = speed / _WIDE, 3 * speed
-    return Quantity("v_s", f"{unit}/s", low, high, log=True, another_above=_DRY * speed)
+    low, high = SLOWEST * speed, 3 * speed
+    return Quantity("v_s", f"{unit}/s", low, high, log=True, another_above=STILL_DRY * speed)
 
 
 def direction(signals: Signals, dof: int, v_s: float, peak: float = np.inf) -> Array:

@@ -40,7 +40,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "rate_limit",
                 (places.actuator(c),),
                 f"force = F + depth (f - F), f follows F by at most rate, {how}",
-                (Quantity("depth", "1", 0.0, 2.0),),
+                (Quantity("depth", "1", 0.0, 1.0),),
                 partial(_limited, coil=c, held=held),
                 (Quantity("rate", f"{unit}/s", most / 2.0 ** (_OCTAVES + 2), most, log=True),),
                 tuple((most / 2.0**k,) for k in range(1, _OCTAVES + 1)),

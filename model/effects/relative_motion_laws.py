@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from . import backlash, damping, friction, stiffness
+from . import backlash, damping, friction, friction_leveling_off, stiffness
 from .base import Build, Effect, Joint, Places, Signals, Term
 from .operating_range import Extent
 
@@ -34,6 +34,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             *stiffness.effects(alone, covered),
             *damping.effects(alone, covered),
             *friction.effects(alone, covered),
+            *friction_leveling_off.effects(alone, covered),
             *backlash.effects(alone, covered),
         ]
         found += [_on_joint(e, joint, alone) for e in own if e.where == (joint.name,)]

@@ -129,6 +129,7 @@ _CLAUSES = {
     "friction.lugre": "friction with an elastic start acts on {at}",
     "friction.maxwell_slip": "friction with an elastic start acts on {at}",
     "friction.along_position": "dry friction on {at} varies along the position, every {pitch}",
+    "friction.leveling_off": "dry friction of {friction}, which levels off slowly, acts on {at}",
     "friction.stribeck": "dry friction of {friction}, at rest {peak} more, acts on {at}",
     "friction.": "dry friction of {friction} acts on {at}",
     "flexible_mode.loose_mass.another": "another mass on a spring vibrates at {frequency} on {at}",

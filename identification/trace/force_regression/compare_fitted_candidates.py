@@ -58,7 +58,8 @@ def fitted_rivals(
         fitted.append(own)
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
-    alike.sort(key=lambda f: f.numbers)
+    there = {f.rated.placed.effect.key for f in alike}
+    alike.sort(key=lambda f: (f.numbers, not there.isdisjoint(f.rated.placed.effect.contains)))
     inputs = set(training.records[0].signals.places.actuators)
     if all(inputs.issuperset(p.effect.where) for p in beside.placed):
         # Behind the laws of its inputs the plant is linear. The noise of the readings makes one of
@@ -91,7 +92,7 @@ def _acts_last(one: _Fitted) -> bool:
 
 
 def _richer(one: _Fitted, other: _Fitted, inputs: set[str]) -> bool:
-    """Return whether one has more numbers at the same place, so that it contains the other.
+    """Return whether one contains the other, by what it is or as it has more numbers at its place.
 
     Laws of an input do so only within their class: of a filter of second order, far above what the
     records have, the delay alone is seen, but a delay is no simpler case of it. Nor is a line with
@@ -100,7 +101,8 @@ def _richer(one: _Fitted, other: _Fitted, inputs: set[str]) -> bool:
     own, simpler = one.rated.placed.effect, other.rated.placed.effect
     nested = own.effect_class == simpler.effect_class or not inputs.issuperset(own.where)
     more = one.numbers > other.numbers and one.rated.numbers > other.rated.numbers
-    return own.where == simpler.where and nested and more
+    contained = simpler.key in own.contains
+    return own.where == simpler.where and (contained or (nested and more))
 
 
 @dataclass(frozen=True)
@@ -225,13 +227,16 @@ def richer_matters(
 ) -> bool:
     """Return whether a law takes what an effect must take beside a simpler one in its place.
 
-    Each is the last effect of its fitted model. `rated`: the rating of the richer one.
+    Each is the last effect of its fitted model. `rated`: the rating of the richer one. Of two laws
+    with equally many numbers none is simpler, and what surely takes more is enough.
     """
     noise = training.noise(simple)
     one, other = (_Fitted.at(p, rated, training, noise, options) for p in (richer, simple))
     size = block_sums(training.blocks, [a - b for a, b in zip(one.left, other.left, strict=True)])
     gain = bounded(other.errors - one.errors, size)
     surely = gain.mean() > options.standard_errors * error_of_mean(gain, size)
+    if numbers_of(richer.placed[-1]) == numbers_of(simple.placed[-1]):
+        return bool(surely)
     share = float(gain.sum()) / max(float(other.errors.sum()), TINY)
     plain = training.plain()
     less = missing_share(plain.at(simple)) - missing_share(plain.at(richer))

@@ -39,6 +39,7 @@ KEYS = (
     "damping.falling",
     "damping.eddy_current",
     "friction.coulomb_asymmetric",
+    "friction.leveling_off",
     "friction.stribeck_asymmetric",
     "gravity.sine",
     "gravity.sine_for_stiffness",
@@ -61,6 +62,7 @@ KEYS = (
 )  # fmt: skip
 OF_PARTS = (
     "actuator.times_speed", "stiffness.preloaded", "damping.falling", "damping.eddy_current",
+    "friction.leveling_off",
 )  # fmt: skip
 """Laws that are means of parts of a row."""
 EACH = pytest.mark.parametrize("key", KEYS)
@@ -262,6 +264,9 @@ LAWS: dict[str, Law] = {
     ),
     "damping.asymmetric": lambda q, v, F, asymmetry: -asymmetry * np.sign(v) * v,
     "friction.coulomb_asymmetric": sliding,
+    "friction.leveling_off": lambda q, v, F, friction, v_0: (
+        -friction * around_rows(lambda v: v / (v_0 + np.abs(v)))
+    ),
     "friction.stribeck_asymmetric": stribeck,
     "gravity.sine": lambda q, v, F, k_s, k_c: -(k_s * np.sin(q) + k_c * np.cos(q)),
     "gravity.sine_for_stiffness": lambda q, v, F, k_s, k_c, k: (

@@ -123,6 +123,17 @@ def test_two_large_effects_are_found_whose_gains_scatter_without_each_other() ->
     assert found.force[1] < 0.02 * found.force[0]
 
 
+@pytest.mark.parametrize(("plant", "seed"), [("drive", 895_002), ("pendulum", 895_001)])
+def test_friction_that_levels_off_slowly_is_told_from_one_that_turns_fast(
+    plant: str, seed: int
+) -> None:
+    # Both have two numbers, so the one that surely takes more is named, however little it is.
+    found = scored(plant, "slow_friction", seed)
+    assert found.right
+    assert not found.doubtful
+    assert all(inside for inside, _ in found.inside)
+
+
 def test_friction_that_turns_within_the_speeds_is_in_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
     def without(*args: Any) -> tuple[Effect, ...]:
         smooth = ("damping.falling", "damping.eddy_current")

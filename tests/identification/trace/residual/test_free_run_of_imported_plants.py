@@ -129,6 +129,7 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
         (0.3, 0.1), (0.5,),
         lambda: lambda q, v, u: -(0.3 + 0.1 * np.tanh(v / 0.5)) * np.tanh(v / 0.5),
     ),
+    "friction.leveling_off": ((0.3,), (0.5,), lambda: lambda q, v, u: -0.3 * v / (abs(v) + 0.5)),
     "friction.stribeck_asymmetric": ((0.2, 0.3, 0.1), (1.0, 0.5), lambda: stribeck),
     "gravity.sine": (
         (3.0, 1.0), (), lambda: lambda q, v, u: -(3.0 * np.sin(q) + 1.0 * np.cos(q)),

@@ -9,7 +9,7 @@ from ..identification.value_with_interval import value_with_interval
 
 if TYPE_CHECKING:
     from ..config.model import EffectParameter
-    from ..identification.trace.force_regression.force_trace_summary import FoundLaw
+    from ..identification.trace.force_regression.found_law import FoundLaw
     from ..identification.trace.force_regression.trace_imported import ForceTrace
 
 
@@ -27,6 +27,7 @@ def words_of(found: ForceTrace) -> list[str]:
     for i, name in enumerate(result.dof):
         force = f"{result.before.force_percent[i]:.3g} % before"
         force += f", {result.after.force_percent[i]:.3g} % after"
+        force += f"; noise of the outputs: {result.after.noise_percent[i]:.2g} %"
         lines.append(f"missing force at {name}, over the force of the inputs: {force}")
         if result.metric == "free_run":
             before, after = result.before.percent[i], result.after.percent[i]
@@ -57,7 +58,8 @@ def words_of(found: ForceTrace) -> list[str]:
     ]
     if result.floor is None:
         lines.append(
-            "note: no record separates noise from model error: the model may lack more than this"
+            "note: the noise of the outputs is estimated from their highest frequencies; state "
+            "noise_sd in the signals file if you know it"
         )
     return lines + [f"note: {note}" for note in found.notes]
 

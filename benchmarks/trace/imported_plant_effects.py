@@ -84,7 +84,7 @@ LAWS = {
     "delay": Law(Kind.DELAY, ("delay",), True, "delay", ("delay",)),
     "magnet": Law(Kind.MAGNET, ("magnetic_force",), effect="magnetic_force.i2_y2.closes"),
     "uneven_friction": Law(Kind.RUBBED_UNEVENLY, ("friction",)),
-    "drag_15": Law(Kind.DRAG_15, ("damping",), listed=False),
+    "drag_15": Law(Kind.DRAG_15, ("damping",)),
     "force_ripple": Law(Kind.RIPPLE, ("torque_ripple",), True),
     "two_gains": Law(Kind.TWO_GAINS, (_ACTUATOR,), True, "actuator.asymmetric", ("a",)),
     "creep": Law(
@@ -94,9 +94,6 @@ LAWS = {
     "second_order": Law(Kind.SECOND_ORDER, ("actuator_lag",), True),
     "thinning_grease": Law(
         Kind.THINNING, ("damping",), effect="damping.falling", names=("d", "v_0")
-    ),
-    "slow_friction": Law(
-        Kind.LEVELING, ("friction",), effect="friction.leveling_off", names=("friction", "v_0")
     ),
     "loaded_gear": Law(
         Kind.LOADED_GEAR, ("friction",), True, "actuator.load_friction", ("share", "v_s")
@@ -108,15 +105,30 @@ LAWS = {
         Kind.BEARING, ("magnetic_force",), effect="magnetic_force.differential.closes"
     ),
     "hysteresis": Law(Kind.HYSTERESIS, (_ACTUATOR,), True, "actuator.hysteresis"),
+    "slow_friction": Law(
+        Kind.LEVELING, ("friction",), effect="friction.leveling_off", names=("friction", "v_0")
+    ),
+    "soft_spring": Law(
+        Kind.SOFT_SPRING, ("stiffness", "preload"), effect="stiffness.leveling_off",
+        names=("P", "width"),
+    ),
+    "quintic": Law(Kind.QUINTIC, ("stiffness",)),
+    "foam": Law(
+        Kind.FOAM, ("stiffness",), effect="stiffness.exponential.up", names=("P", "d")
+    ),
+    "permanent_magnet": Law(
+        Kind.PERMANENT_MAGNET, ("magnetic_force",)
+    ),
+    "cubic_damper": Law(Kind.CUBIC_DAMPER, ("damping",)),
 }  # fmt: skip
-"""Effects by name."""
+"""Effects by name. A plant's seed has the number of its law in it: new ones come last."""
 
 _ANYWHERE = (
     "none", "cubic_stiffness", "quadratic_stiffness", "drag", "stop", "loose_mass",
     "squared_actuator", "cubic_actuator", "force_with_speed", "dead_zone", "saturation",
     "quantised", "drift", "lag", "delay", "drag_15", "two_gains", "creep", "rate_limit",
     "second_order", "thinning_grease", "loaded_gear", "preload",
-    "hysteresis",
+    "hysteresis", "soft_spring", "quintic", "foam", "permanent_magnet", "cubic_damper",
 )  # fmt: skip
 _RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction", "slow_friction")
 _LONG = ("cogging", "force_ripple")
@@ -310,6 +322,11 @@ def _numbers(
         Kind.THINNING: (3.0 * tenth / w, w * (0.1 + share)),
         Kind.LOADED_GEAR: (0.1, v),
         Kind.LEVELING: (tenth, 0.2 * w * share),
+        Kind.SOFT_SPRING: (tenth, q * (0.5 + 2.0 * share)),
+        Kind.QUINTIC: (tenth / q**5,),
+        Kind.FOAM: (tenth, q * (0.7 + 2.0 * share)),
+        Kind.PERMANENT_MAGNET: (-tenth, q * (5.0 + 5.0 * share)),
+        Kind.CUBIC_DAMPER: (tenth / w**3,),
         Kind.HYSTERESIS: (0.2, (0.1 + share) * u),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))

@@ -58,9 +58,17 @@ class Kind(IntEnum):
     BEARING = 32  # s (((1 + i)^2 / (1 - x)^2 - (1 - i)^2 / (1 + x)^2) / 4 - i - x), as MAGNET
     HYSTERESIS = 33  # F = u - s (u - p), p follows u at most half away
     LEVELING = 34  # -s w / (|w| + v)
+    SOFT_SPRING = 35  # -s tanh(q / width)
+    QUINTIC = 36  # -s q^5
+    FOAM = 37  # -s (exp(q / d) - 1)
+    PERMANENT_MAGNET = 38  # s (1 / (1 - q / y0)^2 - 1)
+    CUBIC_DAMPER = 39  # -s w^3
 
 
-_FORCES_ON_DOF = (Kind.THINNING, Kind.PRELOAD, Kind.LEVELING)
+_FORCES_ON_DOF = (
+    Kind.THINNING, Kind.PRELOAD, Kind.LEVELING, Kind.SOFT_SPRING, Kind.QUINTIC, Kind.FOAM,
+    Kind.PERMANENT_MAGNET, Kind.CUBIC_DAMPER,
+)  # fmt: skip
 """Of the kinds behind those of an input."""
 
 
@@ -146,6 +154,16 @@ def _on_dof(  # noqa: PLR0911, PLR0912 - numba has no match
         return -s[0] * w / (1.0 + np.abs(w) / s[1])
     if kind == Kind.LEVELING:
         return -s[0] * w / (np.abs(w) + s[1])
+    if kind == Kind.SOFT_SPRING:
+        return -s[0] * np.tanh(q / s[1])
+    if kind == Kind.QUINTIC:
+        return -s[0] * q**5
+    if kind == Kind.FOAM:
+        return -s[0] * (np.exp(q / s[1]) - 1.0)
+    if kind == Kind.PERMANENT_MAGNET:
+        return s[0] * (max(1.0 - q / s[1], 0.1) ** -2.0 - 1.0)
+    if kind == Kind.CUBIC_DAMPER:
+        return -s[0] * w**3
     if kind == Kind.PRELOAD:
         return -s[0] * min(max((q - s[1]) / s[2], -1.0), 1.0)
     if kind == Kind.DRAG_15:

@@ -1,18 +1,19 @@
-"""Nonlinearity of an actuator: squared, cubic, asymmetric, with speed, quantised, hysteresis.
+"""Nonlinearity of an actuator: squared, cubic, root, asymmetric, with speed, quantised, hysteresis.
 
 A valve, a propeller or a fan gives a force proportional to the square of its command, with its sign
 (Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2011, ch. 9); an actuator of
-one direction has a square without a sign, and a cylinder with one rod another gain in each
-direction (Merritt, *Hydraulic Control Systems*, 1967). The force of a motor at its voltage limit
-and of a pump falls with the speed, in proportion to the command. A back-EMF alone gives a force
-proportional to the speed; the declared damping contains it. A converter with few bits rounds the
-command. The force of a piezo stack at its voltage, and of iron at its current, depends on where the
-command came from: a sum of play operators of several widths (Kuhnen, *Modeling, identification and
-compensation of complex hysteretic nonlinearities*, European Journal of Control 9, 2003). All of
-these act on the command before delay, hold and lag. Signature: a force error that
-depends on the command of one actuator, equally at all frequencies, with harmonics at large
-amplitudes; even harmonics for the square without sign and the gains of two directions, odd ones for
-the others. A hysteresis is late by the same angle at all frequencies.
+one direction has a square without a sign; the flow through a valve is as the root of the pressure
+that drives it, and a cylinder with one rod has another gain in each direction (Merritt, *Hydraulic
+Control Systems*, 1967). The force of a motor at its voltage limit and of a pump falls with the
+speed, in proportion to the command. A back-EMF alone gives a force proportional to the speed; the
+declared damping contains it. A converter with few bits rounds the command. The force of a piezo
+stack at its voltage, and of iron at its current, depends on where the command came from: a sum of
+play operators of several widths (Kuhnen, *Modeling, identification and compensation of complex
+hysteretic nonlinearities*, European Journal of Control 9, 2003). All of these act on the command
+before delay, hold and lag. Signature: a force error that depends on the command of one actuator,
+equally at all frequencies, with harmonics at large amplitudes; even harmonics for the square
+without sign and the gains of two directions, odd ones for the others. A hysteresis is late by the
+same angle at all frequencies.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
-from .force_units import per_unit
+from .force_units import per_unit, unit_power
 from .lag_and_hysteresis_recursions import play
 from .operating_range import Extent
 from .point_force_conversion import times_speed
@@ -40,6 +41,7 @@ _POWERS = {
     "squared": ("Actuator with a squared characteristic", 2, "F |F|"),
     "quadratic": ("Quadratic nonlinearity of an actuator", 2, "F^2"),
     "cubic": ("Cubic nonlinearity of an actuator", 3, "F^3"),
+    "root": ("Actuator with the root of its command", 0.5, "sqrt(|F|) sign(F)"),
     "asymmetric": ("Actuator with another gain in each direction", 1, "|F|"),
 }
 _ELEMENTS = (1.0, 3.0, 9.0)
@@ -63,6 +65,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             _static(places, c, "squared", 0.0),
             _static(places, c, "quadratic", extent.mean_command(c)),
             _static(places, c, "cubic", 0.0),
+            _static(places, c, "root", 0.0),
             _static(places, c, "asymmetric", 0.0),
         ]
         found.append(
@@ -140,18 +143,31 @@ def _static(places: Places, coil: int, name: str, at: float) -> Effect:
         "actuator_nonlinearity",
         (places.actuator(coil),),
         f"force = F + a {added}" if not at else f"force = F + a (F - F_m)^2, F_m = {at:g}",
-        (Quantity("a", per_unit(places.command_unit(coil), power - 1) if power > 1 else "1"),),
+        (Quantity("a", _unit_of(places.command_unit(coil), power)),),
         partial(_power, coil=coil, name=name, at=at),
         absorbed_by=_LINEAR,
         told_apart_by=_TWO_AMPLITUDES,
     )
 
 
+def _unit_of(unit: str, power: float) -> str:
+    """Return the unit of the factor of a power of a command in a unit, over the command."""
+    if power == 1.0 or unit == "1":
+        return "1"
+    return per_unit(unit, round(power) - 1) if power > 1.0 else f"{unit_power(unit, 1)}^0.5"
+
+
 def _power(
     signals: Signals, _shape: Sequence[float], *, coil: int, name: str, at: float
 ) -> list[Term]:
     F = signals.coil[:, coil] - at
-    laws = {"squared": F * np.abs(F), "quadratic": F * F, "asymmetric": np.abs(F)}
+    size = np.abs(F)
+    laws = {
+        "squared": F * size,
+        "quadratic": F * F,
+        "asymmetric": size,
+        "root": np.sign(F) * np.sqrt(size),
+    }
     return [on_coil(signals, coil, laws.get(name, F**3))]
 
 

@@ -17,6 +17,8 @@ from .characteristic_after_lag import quadratic_after_lag
 from .freeform import freeform_effect
 from .magnetic_force import magnetic_force_effect
 from .operating_range import Extent
+from .permanent_magnet import permanent_magnet_effect
+from .power_laws import power_law_effect
 from .relative_gains import relative_gains
 from .vibration import tone
 
@@ -76,6 +78,8 @@ def placed_effects(
         for keyed in (
             freeform_effect(places, entry.effect, at),
             magnetic_force_effect(places, covered, entry.effect, at),
+            permanent_magnet_effect(places, covered, entry.effect, at),
+            power_law_effect(places, entry.effect, at),
             quadratic_actuator(places, entry.effect, at),
             quadratic_after_lag(places, entry.effect, at),
         ):

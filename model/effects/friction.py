@@ -26,6 +26,7 @@ from .lag_and_hysteresis_recursions import bouc_wen, dahl, lugre, slip
 from .motion_between_rows import (
     at_rows,
     law_of_speed,
+    ln_cosh,
     means_of_parts,
     middles,
     speeds_between_rows,
@@ -168,12 +169,12 @@ def direction(signals: Signals, dof: int, v_s: float, peak: float = np.inf) -> A
     signals ask for it, this is what its means around the rows tell.
     """
     if not np.isfinite(peak):
-        return law_of_speed(signals, dof, v_s, np.tanh, _ln_cosh)
+        return law_of_speed(signals, dof, v_s, np.tanh, ln_cosh)
     if not signals.around_rows:
         speed = signals.qd[:, dof]
         return np.asarray(np.tanh(speed / v_s) * np.exp(-((speed / peak) ** 2)))
     speed = speeds_between_rows(signals, dof)
-    parts = means_of_parts(speed / v_s, np.tanh, _ln_cosh)
+    parts = means_of_parts(speed / v_s, np.tanh, ln_cosh)
     return at_rows(parts * np.exp(-((middles(speed) / peak) ** 2)))
 
 
@@ -235,11 +236,6 @@ def _coulomb(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term
 def _turned_squared(signals: Signals, dof: int, v_s: float) -> Array:
     """Return the same of tanh(q' / v_s)^2, whose integral is x - tanh x."""
     return law_of_speed(signals, dof, v_s, lambda x: np.tanh(x) ** 2, lambda x: x - np.tanh(x))
-
-
-def _ln_cosh(x: Array) -> Array:
-    size = np.abs(x)
-    return np.asarray(size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0))
 
 
 def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

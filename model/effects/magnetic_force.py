@@ -31,11 +31,11 @@ _LAWS = {"i2_y2": (2, 2), "i1_y4": (1, 4), "i2_y4": (2, 4)}
 """Exponents of current and gap of each law."""
 _DIFFERENTIAL = "differential"
 """The law of two magnets, at both sides."""
-_SIGNS = {"opens": 1.0, "closes": -1.0}
+SIGNS = {"opens": 1.0, "closes": -1.0}
 _KEY = re.compile(
     r"magnetic_force\.(?P<law>\w+)\.(?P<way>\w+)\[(?P<at>[0-9.e+-]+),(?P<command>[0-9.e+-]+)\]"
 )
-_GAPS, _GAP_BOUNDS = (1.5, 4.0), (1.2, 10.0)
+GAPS, GAP_BOUNDS = (1.5, 4.0), (1.2, 10.0)
 _CURRENTS, _CURRENT_BOUNDS = (0.7, 3.0), (0.1, 6.0)
 """Start values and bounds of y0 and i0, over the largest excursion of position and command.
 
@@ -58,7 +58,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
         _force(places, extent, i, c, law, way, (extent.around(i), extent.mean_command(c)))
         for i, c in pairs
         for law in (*_LAWS, _DIFFERENTIAL)
-        for way in _SIGNS
+        for way in SIGNS
     ]
 
 
@@ -70,7 +70,7 @@ def magnetic_force_effect(
     if (
         found is None
         or found["law"] not in (*_LAWS, _DIFFERENTIAL)
-        or found["way"] not in _SIGNS
+        or found["way"] not in SIGNS
         or places.beam
     ):
         return None
@@ -96,7 +96,7 @@ def _force(
     force, unit, largest = places.force_unit(dof), places.dof_units[dof], extent.reach[dof]
     largest *= EXCURSION
     command = EXCURSION * extent.command_spread(coil)
-    least, most = _GAP_BOUNDS
+    least, most = GAP_BOUNDS
     y0 = Quantity("y0", unit, least * largest, most * largest, log=True)
     least, most = _CURRENT_BOUNDS
     i0 = Quantity("i0", places.command_unit(coil), least * command, most * command, log=True)
@@ -104,13 +104,13 @@ def _force(
     if law == _DIFFERENTIAL:
         name = f"Magnetic force of two magnets, gap of the first {way} with the position"
         ratio = f"(((i0 + i) / (y0 {plus} y))^2 - ((i0 - i) / (y0 {minus} y))^2) (y0 / i0)^2 / 4"
-        build = partial(_of_two_magnets, dof=dof, coil=coil, sign=_SIGNS[way], at=at)
+        build = partial(_of_two_magnets, dof=dof, coil=coil, sign=SIGNS[way], at=at)
     else:
         a, b = _LAWS[law]
         name = f"Magnetic force, current^{a} over gap^{b}, gap {way} with the position"
         current = f"(i0 {'+' if at[1] >= 0.0 else '-'} i)"
         ratio = f"({current} / i0)^{a} (y0 / (y0 {plus} y))^{b}"
-        build = partial(_magnetic, dof=dof, coil=coil, law=law, sign=_SIGNS[way], at=at)
+        build = partial(_magnetic, dof=dof, coil=coil, law=law, sign=SIGNS[way], at=at)
     return Effect(
         f"magnetic_force.{law}.{way}[{at[0]:g},{at[1]:g}]",
         name,
@@ -120,7 +120,7 @@ def _force(
         (Quantity("c", force),),
         build,
         (y0, i0),
-        tuple((y * largest, i * command) for y in _GAPS for i in _CURRENTS),
+        tuple((y * largest, i * command) for y in GAPS for i in _CURRENTS),
         absorbed_by="the linear part: stiffness, gain and constant force",
         told_apart_by="excitation at several positions and mean commands",
     )
@@ -140,7 +140,7 @@ def _magnetic(
     x = sign * (signals.q[:, dof] - at[0]) / shape[0]
     r = (1.0 if at[1] >= 0.0 else -1.0) * (_current(signals, coil) - at[1]) / shape[1]
     pull = signals.acting((1 + r) ** a)
-    force = pull * _over_gap(x, b) - 1 - a * signals.acting(r) + b * x
+    force = pull * over_gap(x, b) - 1 - a * signals.acting(r) + b * x
     return [on_dof(signals, dof, force)]
 
 
@@ -155,12 +155,12 @@ def _of_two_magnets(
 ) -> list[Term]:
     x = sign * (signals.q[:, dof] - at[0]) / shape[0]
     r = (_current(signals, coil) - at[1]) / shape[1]
-    pulls = (signals.acting((1 + way * r) ** 2) * _over_gap(way * x, 2) for way in (1, -1))
+    pulls = (signals.acting((1 + way * r) ** 2) * over_gap(way * x, 2) for way in (1, -1))
     first, second = pulls
     return [on_dof(signals, dof, 0.25 * (first - second) - signals.acting(r) + x)]
 
 
-def _over_gap(x: Array, power: int) -> Array:
+def over_gap(x: Array, power: int) -> Array:
     """Return (y0 / gap)^power at deflections x (N,) over y0."""
     return np.asarray(np.maximum(1 + x, _LEAST_GAP) ** -float(power))
 

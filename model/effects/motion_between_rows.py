@@ -64,6 +64,12 @@ def law_of_speed(
     return at_rows(means_of_parts(speeds_between_rows(signals, dof) / v, law, integral))
 
 
+def ln_cosh(x: Array) -> Array:
+    """Return ln cosh x, the integral of tanh from 0."""
+    size = np.abs(x)
+    return np.asarray(size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0))
+
+
 def middles(x: Array) -> Array:
     """Return the arguments (2 _PARTS, N - 1) in the middle of each part."""
     return np.asarray(0.5 * (x[1:] + x[:-1]))

@@ -1,16 +1,18 @@
-"""Stiffness that is not linear: cubic, quadratic, one-sided, preloaded, viscoelastic.
+"""Stiffness that is not linear: of powers, one-sided, preloaded, exponential, viscoelastic.
 
 Clamped rods in bending stretch as they deflect, so their force has a cubic part (Duffing; Kovacic
 and Brennan, *The Duffing Equation*, 2011). The force of buckled rods differs between upward and
 downward deflection; a quadratic part describes this. The force of a one-sided contact has a kink
 over the deflection (Shaw and Holmes 1983). A spring that is preloaded against a stop to both sides
 returns to the middle with a force that jumps there, as that of a throttle valve at its limp-home
-position (Deur et al., *An electronic throttle control strategy*, 2004). Rubber and polymers creep:
-a spring in series with a damper, beside the declared one, is soft when slow and stiff when fast
-(Lakes, *Viscoelastic Materials*, 2009, ch. 2). Signature: a force that depends on the pose only,
-not on the speed; the cubic part responds at odd lines of a multisine, the quadratic part at even
-lines and in the mean. A sensor's nonlinearity instead looks like a force that grows with frequency
-squared, and also appears in the non-rigid part of the readings.
+position (Deur et al., *An electronic throttle control strategy*, 2004). Buckled beams and disc
+springs level off within their travel; foam and tissue harden exponentially (Fung, *Biomechanics*,
+1993, ch. 7). Rubber and polymers creep: a spring in series with a damper, beside the declared one,
+is soft when slow and stiff when fast (Lakes, *Viscoelastic Materials*, 2009, ch. 2). Signature: a
+force that depends on the pose only, not on the speed; the cubic part responds at odd lines of a
+multisine, the quadratic part at even lines and in the mean. A sensor's nonlinearity instead looks
+like a force that grows with frequency squared, and also appears in the non-rigid part of the
+readings.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ import numpy as np
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
 from .force_units import unit_power
 from .lag_and_hysteresis_recursions import lagged_motion
-from .motion_between_rows import at_rows, means_of_parts, positions_between_rows
+from .motion_between_rows import at_rows, ln_cosh, means_of_parts, positions_between_rows
 from .operating_range import Extent
 from .point_force_conversion import forces, heights
 
@@ -33,6 +35,11 @@ _CONTACTS = (-0.4, 0.0, 0.4)
 _YIELDS, _YIELD_BOUNDS = (0.03, 0.3), (1e-4, 3.0)
 """Start values and bounds of the deflection within which a preload is reached, over the standard
 deviation of the motion. With a longer one the force would be that of a linear spring."""
+_LEVELS = (0.3, 1.0)
+"""Start values of the deflection within which a spring levels off, over the same."""
+_WAYS, _HARDENS = {"up": 1.0, "down": -1.0}, (0.2, 10.0)
+"""Ways in which a spring hardens exponentially, and bounds of the deflection within which it does,
+over the same. With a longer one it is a quadratic spring."""
 _CREEP_S = (0.03, 0.3, 3.0)
 """Start values of a creep's time."""
 _LINEAR = "the part linear in the pose: the declared stiffness"
@@ -105,6 +112,25 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             )
             found.append(
                 Effect(
+                    "stiffness.leveling_off",
+                    "Spring that levels off",
+                    effect_class,
+                    (dof,),
+                    "force = -P tanh((q - q0) / width)",
+                    (Quantity("P", force, 0.0),),
+                    partial(_leveling, dof=i),
+                    (
+                        Quantity("q0", unit, middle - reach, middle + reach),
+                        Quantity("width", unit, shortest, longest, log=True),
+                    ),
+                    tuple((middle, one * extent.reach[i]) for one in _LEVELS),
+                    absorbed_by=_LINEAR,
+                    told_apart_by="two amplitudes of excitation",
+                )
+            )
+            found += [_exponential(places, i, way, extent) for way in _WAYS]
+            found.append(
+                Effect(
                     "stiffness.viscoelastic",
                     "Viscoelastic spring",
                     "viscoelasticity",
@@ -135,6 +161,29 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
+def _exponential(places: Places, i: int, way: str, extent: Extent) -> Effect:
+    unit, reach = places.dof_units[i], extent.reach[i]
+    low, high = (share * reach for share in _HARDENS)
+    return Effect(
+        f"stiffness.exponential.{way}",
+        f"Spring that hardens exponentially, {way}wards",
+        "stiffness",
+        (places.dof[i],),
+        "force = -P (exp(q/d) - 1)" if way == "up" else "force = P (exp(-q/d) - 1)",
+        (Quantity("P", places.force_unit(i)),),
+        partial(_hardening, dof=i, sign=_WAYS[way]),
+        (Quantity("d", unit, low, high, log=True),),
+        ((0.7 * reach,), (2.0 * reach,)),
+        absorbed_by=_LINEAR,
+        told_apart_by="two amplitudes of excitation",
+    )
+
+
+def _hardening(signals: Signals, shape: Sequence[float], *, dof: int, sign: float) -> list[Term]:
+    away = sign * signals.q[:, dof] / shape[0]
+    return [on_dof(signals, dof, -sign * np.expm1(away))]
+
+
 def _power_of_pose(
     signals: Signals, _shape: Sequence[float], *, dof: int, power: int
 ) -> list[Term]:
@@ -150,6 +199,11 @@ def _preloaded(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Te
     # Also in a free run: the jump may take less than a row.
     away = (positions_between_rows(signals, dof) - shape[0]) / shape[1]
     return [on_dof(signals, dof, -at_rows(means_of_parts(away, _clipped, _integral)))]
+
+
+def _leveling(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    away = (positions_between_rows(signals, dof) - shape[0]) / shape[1]
+    return [on_dof(signals, dof, -at_rows(means_of_parts(away, np.tanh, ln_cosh)))]
 
 
 def _clipped(away: Array) -> Array:

@@ -147,6 +147,19 @@ def _described(result: ForceOutcome) -> list[str]:
     return [clause] if left else []
 
 
+def _beyond_noise(result: ForceOutcome) -> list[str]:
+    """Return a clause on what is more than noise, where neither a form nor a law describes it."""
+    if result.lacks or result.form_matters or not result.beyond_noise:
+        return []
+    noise = [
+        f"{percent:.2g} %" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
+        for name, percent in zip(result.dof, result.after.noise_percent, strict=True)
+        if name in result.beyond_noise
+    ]
+    what = "something else" if result.laws else "something"
+    return [f"the model lacks {what}: the noise of the outputs explains {' and '.join(noise)} only"]
+
+
 def _rest_of_imported(result: ForceOutcome) -> str:
     """Return a sentence on the missing force, before and after."""
     less, more, same = list[str](), list[str](), list[str]()
@@ -159,14 +172,15 @@ def _rest_of_imported(result: ForceOutcome) -> str:
         else:
             changed = more if after > before else less
             changed.append(f"from {before:.3g} to {after:.3g} %{at}")
-    lacks = "".join(f" {_sentence(clause)}" for clause in (*result.lacks, *_described(result)))
+    clauses = (*result.lacks, *_described(result), *_beyond_noise(result))
+    lacks = "".join(f" {_sentence(clause)}" for clause in clauses)
     if result.laws:
         whole = [np.linalg.norm(e.force_percent) for e in (result.before, result.after)]
         verbs = [("falls", less), ("rises", more), ("stays", same)]
         if whole[1] >= whole[0]:
             verbs = [("does not fall:", less + more), ("stays", same)]
-        clauses = " and ".join(f"{verb} {', '.join(some)}" for verb, some in verbs if some)
-        once = clauses.replace(" %", " % of the inputs' force", 1)
+        changes = " and ".join(f"{verb} {', '.join(some)}" for verb, some in verbs if some)
+        once = changes.replace(" %", " % of the inputs' force", 1)
         return f"The missing force {once}.{lacks}"
     left = "; ".join(
         f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if several else "")

@@ -13,11 +13,11 @@ from ...config.version import __version__
 from ...identification.trace.force_regression.force_trace_summary import (
     ABOUT,
     ForceOutcome,
-    FoundLaw,
     declared_effects,
     force_outcome,
     model_with_effects,
 )
+from ...identification.trace.force_regression.found_law import FoundLaw
 from ...identification.trace.force_regression.rated_candidate import Rated
 from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ..plotting.figure_to_svg import Picture, to_svg
@@ -82,9 +82,9 @@ def _answer(
     if result.floor is None:
         parts.append(
             Text(
-                "No record tells noise from model error, so this page does not say whether the "
-                "model explains the records. State noise_sd of the outputs in the signals file if "
-                "you know it.",
+                "The noise of the outputs is estimated from their highest frequencies, where there "
+                "is more than noise if a record is sampled slowly. State noise_sd of the outputs "
+                "in the signals file if you know it.",
                 "note",
             )
         )
@@ -157,11 +157,13 @@ def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Picture, Tabl
                 symbol(name),
                 *(f"{error.force_percent[i]:.3g} %" for error in (result.before, result.after)),
                 _percent(result.free_form[i]),
+                _percent(result.after.noise_percent[i]),
                 *(_percent(error.percent[i]) for error in (result.before, result.after)),
             )
         )
     head = (
-        "DOF", "force, before", "force, after", "free form", "free run, before", "free run, after",
+        "DOF", "force, before", "force, after", "free form", "noise", "free run, before",
+        "free run, after",
     )  # fmt: skip
     return (
         Picture(
@@ -175,7 +177,7 @@ def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Picture, Tabl
         Table(
             "Errors of all reported rows: missing force over the inputs' force, and free-run error "
             "over the output. Free form: share that a general function of all signals leaves in "
-            "the fitted rows",
+            "the fitted rows. Noise: what that of the outputs gives",
             head,
             tuple(rows),
         ),

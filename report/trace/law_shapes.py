@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...identification.trace.force_regression.force_record import ForceModel, ForceRecord
-from ...identification.trace.force_regression.force_trace_summary import FoundLaw
+from ...identification.trace.force_regression.found_law import FoundLaw
 from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ...identification.trace.residual.binned_means import dependence
 from .effect_shapes import Shape

@@ -77,7 +77,9 @@ def fitted_rivals(
     others = tuple(
         r
         for r, f in zip(named[1:], alike[1:], strict=True)
-        if not _richer(f, alike[0], inputs) and not f.rated.as_simpler
+        if not _richer(f, alike[0], inputs)
+        and not f.rated.as_simpler
+        and not any(_contains(f, other) for other in alike)
     )
     best = replace(named[0], alternatives=others, contenders=contenders)
     rest = [f for f in fitted if f is not alike[0]]
@@ -101,8 +103,12 @@ def _richer(one: _Fitted, other: _Fitted, inputs: set[str]) -> bool:
     own, simpler = one.rated.placed.effect, other.rated.placed.effect
     nested = own.effect_class == simpler.effect_class or not inputs.issuperset(own.where)
     more = one.numbers > other.numbers and one.rated.numbers > other.rated.numbers
-    contained = simpler.key in own.contains
-    return own.where == simpler.where and (contained or (nested and more))
+    return _contains(one, other) or (own.where == simpler.where and nested and more)
+
+
+def _contains(one: _Fitted, other: _Fitted) -> bool:
+    own, simpler = one.rated.placed.effect, other.rated.placed.effect
+    return own.where == simpler.where and simpler.key in own.contains
 
 
 @dataclass(frozen=True)

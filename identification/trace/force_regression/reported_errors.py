@@ -37,8 +37,9 @@ class ReportedError:
 
     error: RMS of the free-run simulation, nan without one. floor: what the stated noise of the
     outputs alone leaves of it in the record's loop, nan if it is not stated. output, force_acting,
-    force: standard deviations of the output, of the acting and of the missing force. settled:
-    whether the simulation with effects converged.
+    force: standard deviations of the output, of the acting and of the missing force. force_noise:
+    what the noise of the outputs, stated or estimated, gives of the last. settled: whether the
+    simulation with effects converged.
     """
 
     record: str
@@ -48,6 +49,7 @@ class ReportedError:
     output: Array
     force: Array
     force_acting: Array
+    force_noise: Array
     settled: bool
 
 
@@ -109,8 +111,15 @@ def reported_error(
         e.y.std(axis=0),
         missing.std(axis=0),
         acting.std(axis=0),
+        _force_noise(point, seen),
         settled,
     )
+
+
+def _force_noise(point: ForceModel, seen: ForceRecord) -> Array:
+    """Return the RMS (n,) of the missing force that the noise of the outputs gives."""
+    freq_hz, density = seen.noise_density(point)
+    return np.asarray(np.sqrt(np.trapezoid(density, freq_hz, axis=0)))
 
 
 def _runs_free(point: ForceModel, experiment: Experiment) -> bool:
@@ -150,13 +159,14 @@ def _simulated(
 class PooledError:
     """Errors of all records (n,): RMS, in per cent of the output, and in per cent of the force.
 
-    floor: as ReportedError.floor.
+    floor: as ReportedError.floor. noise_percent: force that the noise of the outputs gives.
     """
 
     error: Array
     floor: Array
     percent: Array
     force_percent: Array
+    noise_percent: Array
 
     @classmethod
     def of(cls, errors: Sequence[ReportedError]) -> PooledError:
@@ -173,4 +183,5 @@ class PooledError:
                 rms("floor"),
                 PERCENT * rms("error") / rms("output"),
                 PERCENT * rms("force") / rms("force_acting"),
+                PERCENT * rms("force_noise") / rms("force_acting"),
             )

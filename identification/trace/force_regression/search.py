@@ -35,7 +35,7 @@ from .training_records import Training, missing_share
 Progress = Callable[[str, float], None]
 
 _FRICTION = "friction"
-_ALSO = ("backlash.play", "damping.falling", "damping.eddy_current")
+_ALSO = ("backlash.play", "damping.falling", "damping.eddy_current", "damping.root")
 
 
 @dataclass(frozen=True)
@@ -374,7 +374,7 @@ def _rubs(effect: Effect) -> bool:
     A spring that is dragged along is one too: the force of a Maxwell-slip element. So is a damping
     that levels off, of which friction would be a part.
     """
-    return effect.effect_class == _FRICTION or effect.key in _ALSO
+    return effect.effect_class == _FRICTION or effect.key.startswith(_ALSO)
 
 
 def _without_idle(state: _State, training: Training, options: SearchOptions) -> _State:

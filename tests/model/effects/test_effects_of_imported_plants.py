@@ -38,6 +38,16 @@ KEYS = (
     "damping.asymmetric",
     "damping.falling",
     "damping.eddy_current",
+    "damping.power",
+    "damping.root",
+    "stiffness.power",
+    "stiffness.leveling_off",
+    "stiffness.exponential.up",
+    "stiffness.exponential.down",
+    "permanent_magnet.y2.opens",
+    "permanent_magnet.y2.closes",
+    "permanent_magnet.y4.opens",
+    "permanent_magnet.y4.closes",
     "friction.coulomb_asymmetric",
     "friction.leveling_off",
     "friction.stribeck_asymmetric",
@@ -54,6 +64,7 @@ KEYS = (
     "actuator.squared",
     "actuator.quadratic",
     "actuator.cubic",
+    "actuator.root",
     "actuator.times_speed",
     "actuator.quantised",
     "actuator.hysteresis",
@@ -62,7 +73,7 @@ KEYS = (
 )  # fmt: skip
 OF_PARTS = (
     "actuator.times_speed", "stiffness.preloaded", "damping.falling", "damping.eddy_current",
-    "friction.leveling_off",
+    "friction.leveling_off", "stiffness.leveling_off", "damping.power", "damping.root",
 )  # fmt: skip
 """Laws that are means of parts of a row."""
 EACH = pytest.mark.parametrize("key", KEYS)
@@ -156,6 +167,32 @@ def preloaded(q, v, F, P, q0, width):
     s = moving()
     position = CubicHermiteSpline(s.time_s, s.q[:, 0], s.qd[:, 0])
     return -P * around_rows(lambda q: np.clip((q - q0) / width, -1.0, 1.0), position)
+
+
+def leveling_off(q, v, F, P, q0, width):
+    s = moving()
+    position = CubicHermiteSpline(s.time_s, s.q[:, 0], s.qd[:, 0])
+    return -P * around_rows(lambda q: np.tanh((q - q0) / width), position)
+
+
+def to_a_power(law: str, of_speed: bool) -> Law:
+    def force(q, v, F, size, p):
+        at = float(table()[law].key.partition("[")[2].rstrip("]"))
+
+        def one(x):
+            return -size * np.sign(x) * np.abs(x / at) ** p
+
+        return around_rows(one) if of_speed else one(q)
+
+    return force
+
+
+def permanent_magnet(power: int, way: float) -> Law:
+    def force(q, v, F, c, y0):
+        y = q - float(table()["permanent_magnet.y2.opens"].key.partition("[")[2].rstrip("]"))
+        return c * ((y0 / (y0 + way * y)) ** power - 1.0)
+
+    return force
 
 
 def dead_zone_spring(q, v, F, k, q0, half):
@@ -273,6 +310,18 @@ LAWS: dict[str, Law] = {
         k * q - k_s * np.sin(q) - k_c * np.cos(q)
     ),
     "stiffness.preloaded": preloaded,
+    "stiffness.leveling_off": leveling_off,
+    "stiffness.exponential.up": lambda q, v, F, P, d: -P * (np.exp(q / d) - 1.0),
+    "stiffness.exponential.down": lambda q, v, F, P, d: P * (np.exp(-q / d) - 1.0),
+    "stiffness.power": to_a_power("stiffness.power", False),
+    "damping.power": to_a_power("damping.power", True),
+    "damping.root": to_a_power("damping.root", True),
+    **{
+        f"permanent_magnet.y{power}.{way}": permanent_magnet(power, sign)
+        for power in (2, 4)
+        for way, sign in (("opens", 1.0), ("closes", -1.0))
+    },
+    "actuator.root": lambda q, v, F, a: a * np.sign(F) * np.sqrt(np.abs(F)),
     "backlash.dead_zone_spring": dead_zone_spring,
     "backlash.play": play,
     "backlash.load": load,

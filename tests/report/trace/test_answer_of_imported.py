@@ -35,8 +35,24 @@ def test_the_missing_force_of_each_dof_falls_stays_or_rises(
         laws=("a law",),
         lacks=(),
         form_matters=False,
+        beyond_noise={},
     )
     assert _rest_of_imported(result) == f"The missing force {said}"  # type: ignore[arg-type]
+
+
+def test_what_is_more_than_noise_is_said_where_no_form_describes_it() -> None:
+    result = SimpleNamespace(
+        dof=("a", "b"),
+        before=SimpleNamespace(force_percent=(75.9, 3.0)),
+        after=SimpleNamespace(force_percent=(18.7, 3.0), noise_percent=(0.039, 2.9)),
+        laws=("a law",),
+        lacks=(),
+        form_matters=False,
+        beyond_noise={"a": 1.0},
+    )
+    assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
+        "The model lacks something else: the noise of the outputs explains 0.039 % at a only."
+    )
 
 
 def test_what_a_free_form_describes_and_no_law_does_is_said() -> None:

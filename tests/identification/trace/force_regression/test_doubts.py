@@ -15,7 +15,7 @@ from levid.identification.greybox.declared_model_from_config import declared_mod
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.trace.force_regression import certainty_of_effects, force_trace_summary
 from levid.identification.trace.force_regression.force_record import ForceModel
-from levid.identification.trace.force_regression.force_trace_summary import FoundLaw
+from levid.identification.trace.force_regression.found_law import FoundLaw
 from levid.identification.trace.force_regression.rated_candidate import Rated
 from levid.identification.trace.force_regression.search import Searched
 from levid.identification.trace.records.record_from_log import imported_places
@@ -166,11 +166,22 @@ def left_with(left: list[float], form: list[float]) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("form", "confirmed"), [(0.5, True), (0.46, True), (0.3, False), (np.nan, False)]
+    ("form", "noise", "confirmed"),
+    [
+        (5.0, 4.9, True),
+        (4.6, 4.6, True),
+        (3.0, 3.0, False),
+        (np.nan, 4.9, False),
+        (5.0, 0.1, False),  # nor does a free form describe it: something moves that none reads
+    ],
 )
-def test_force_confirms_what_leaves_no_more_than_a_free_form(form: float, confirmed: bool) -> None:
-    after: Any = SimpleNamespace(force_percent=np.array([0.5, 0.1]))
-    trace = left_with([0.5, 0.1], [form, 0.1])
+def test_force_confirms_what_leaves_no_more_than_a_free_form_and_noise(
+    form: float, noise: float, confirmed: bool
+) -> None:
+    after: Any = SimpleNamespace(
+        force_percent=np.array([5.0, 0.1]), noise_percent=np.array([noise, 0.1])
+    )
+    trace = left_with([5.0, 0.1], [form, 0.1])
     assert force_trace_summary._confirmed_by_force(trace, after) == confirmed
 
 

@@ -27,6 +27,11 @@ from levid.model.effects.candidate_effects import all_effects
         ("pendulum", "preload", 900_001),
         ("pendulum", "hysteresis", 900_001),
         ("levitation", "bearing", 900_003),
+        ("drive", "soft_spring", 897_001),
+        ("drive", "permanent_magnet", 897_001),  # an exponential spring hardens in the same way
+        ("pendulum", "quintic", 897_002),
+        ("pendulum", "foam", 897_002),
+        ("pendulum", "cubic_damper", 897_002),
         ("pendulum", "drift", 700_000),  # a law of heat with a long time constant is alike
     ],
 )

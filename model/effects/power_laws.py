@@ -47,7 +47,7 @@ _LAWS: Mapping[str, _Law] = {
     "damping.root": _Law(
         "Damping with a root of the speed",
         "force = -F |q'/v|^p sign(q'), v = ",
-        (0.2, 0.8),  # below it is dry friction
+        (0.4, 0.8),  # below it is a friction that levels off
         (0.5,),
     ),
     "stiffness.power": _Law(

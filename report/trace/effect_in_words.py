@@ -185,7 +185,7 @@ _CLAUSES = {
     "vibration.": "a vibration of {frequency} acts on {at}",
     "backlash.load": "{at} moves a load behind a gap of {half:double}",
     "backlash.": "a gap of {half:double} is at {at}",
-    "permanent_magnet": "a permanent magnet pulls on {at}, more the smaller the gap is",
+    "permanent_magnet": "the force of a permanent magnet acts on {at}, over a gap of {y0}",
     "magnetic_force": "the magnetic force on {at} changes with the gap",
     "actuator.crosstalk": "a part of one command acts at the other input ({at})",
     "actuator.asymmetric": "the gain of {at} differs between the two directions",

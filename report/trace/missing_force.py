@@ -34,7 +34,8 @@ def missing_force(trace: ForceTrace, *, sheet: Sheet = PAGE) -> Figure:
         for i, ax in enumerate(grid.axes[:, 0]):
             unit = trace.places.force_unit(i)
             signals = [(acting, _ACTING), (before, _BEFORE), (after, _AFTER)]
-            centred = [x[:, i] - x[:, i].mean() for x, _ in signals]
+            # Where a DOF rests, the force is 0: of the constant only what moves has a part.
+            centred = [record.varying(x)[:, i] for x, _ in signals]
             factor, prefix = engineering(max(float(np.abs(x).max()) for x in centred), unit)
             for x, (_, line) in zip(centred, signals, strict=True):
                 plot_envelope(ax, envelope(record.time_s, factor * x, _BINS), line)

@@ -40,6 +40,8 @@ _MATRICES = {"K": "q", "D": "qd", "M": "qdd"}
 """Matrices of the linear part, and what each multiplies."""
 _OVERSAMPLED = float(SearchOptions.resolved)
 """Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
+_READINGS = "reading."
+"""How the keys of effects on the readings of an imported plant begin."""
 _INERTIA = {"inertia", "linear_inertia"}
 """Classes of the effects whose force is in proportion to accelerations."""
 _RECENT = 2 * SearchOptions.steps
@@ -318,13 +320,14 @@ class ForceRecord:
         chain = beside(effect, point.placed)
         if all(p.effect.identity == effect.identity for p in chain):
             chain = ()
-        numbers = tuple((p.effect.identity, p.shape, p.amplitudes) for p in chain)
+        erring = self._erring(point, effect)
+        numbers = tuple((p.effect.identity, p.shape, p.amplitudes) for p in (*chain, *erring))
         timing = (delay_s, lag_s)
         key = (timing, effect.identity, shape, passed and bool(chain), numbers)
         parts = self._parts.get(key) or self._recent.get(key)
         if parts is None:
             late = max(round((delay_s + self.band.own_delay_s) / self.band.Ts_s), 0)
-            signals = replace(self.signals, delay_cycles=late, lag_s=lag_s)
+            signals = replace(self._moved(erring), delay_cycles=late, lag_s=lag_s)
             terms = effect.build(reaching(effect, chain, signals), shape)
             if passed:
                 terms = passed_on(effect, terms, chain, signals)
@@ -332,7 +335,7 @@ class ForceRecord:
             if effect.linear and not self.schedule:
                 once = self._once(signals, effect, shape)
                 parts = [(force, *p[1:]) for force, p in zip(once, parts, strict=True)]
-            if keep and not chain:
+            if keep and not chain and not erring:
                 # Signals of another delay or lag are of no use any more.
                 if self._parts and next(iter(self._parts))[0] != timing:
                     self._parts.clear()
@@ -340,6 +343,29 @@ class ForceRecord:
             else:
                 _remember(self._recent, key, parts)
         return parts
+
+    def _erring(self, point: ForceModel, effect: Effect) -> tuple[Placed, ...]:
+        """Return the effects of a model on the readings, if another effect is a law of the motion.
+
+        Linear ones are a part of the matrices, which `groups` multiplies with what is read.
+        """
+        if effect.linear or effect.key.startswith(_READINGS):
+            return ()
+        return tuple(p for p in point.placed if p.effect.key.startswith(_READINGS))
+
+    def _moved(self, erring: tuple[Placed, ...]) -> Signals:
+        """Return the signals with the positions that readings with these errors tell of."""
+        if not erring:
+            return self.signals
+        q, qd, qdd = self.signals.q, self.signals.qd, self.signals.qdd
+        for p in erring:
+            gap = p.term(self.signals).gap
+            if gap is not None:
+                false = gap @ self.decoupling.T
+                rate = np.gradient(false, self.signals.Ts_s, axis=0)
+                q, qd = q - false, qd - rate
+                qdd = qdd - np.gradient(rate, self.signals.Ts_s, axis=0)
+        return replace(self.signals, q=q, qd=qd, qdd=qdd)
 
     def _once(self, signals: Signals, effect: Effect, shape: tuple[float, ...]) -> list[Array]:
         """Return the forces (rows, n) of a linear effect after the low-pass of the balance, once.

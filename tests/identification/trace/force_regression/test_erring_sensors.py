@@ -50,8 +50,9 @@ K: [[k1, 0], [0, k2]]
 """
 
 
-def flown(seed: int, axes: int, reading: Callable[[Array], Array]) -> Experiment:
-    """Return 30 s of linear axes under noise below 6 Hz, with noise of 0.1 % in the readings."""
+def flown(seed: int, axes: int, reading: Callable[[Array], Array], k3: float = 0.0) -> Experiment:
+    """Return 30 s of axes with springs K q + k3 q^3 under noise below 6 Hz, with noise of 0.1 % in
+    the readings."""
     rng = np.random.default_rng(seed)
     u = lfilter(*butter(2, 2.0 * 6.0 * TS), rng.standard_normal((ROWS, axes)), axis=0)
     u *= (6.0 + 3.0 * seed) / u.std(axis=0)
@@ -60,18 +61,20 @@ def flown(seed: int, axes: int, reading: Callable[[Array], Array]) -> Experiment
     for row in range(ROWS):
         positions[row] = q
         for _ in range(STEPS):
-            half = v + 0.5 * h * (u[row] - D[:axes] * v - K[:axes] * q) / M[:axes]
+            spring = K[:axes] * q + k3 * q**3
+            half = v + 0.5 * h * (u[row] - D[:axes] * v - spring) / M[:axes]
             middle = q + 0.5 * h * v
-            v = v + h * (u[row] - D[:axes] * half - K[:axes] * middle) / M[:axes]
+            spring = K[:axes] * middle + k3 * middle**3
+            v = v + h * (u[row] - D[:axes] * half - spring) / M[:axes]
             q = q + h * half
     y = reading(positions)
     y = y + 1e-3 * y.std(axis=0) * rng.standard_normal(y.shape)
     return Experiment(f"r{seed}", TS, u, y, {}, frozenset(), False, 0, None)
 
 
-def traced(model: str, axes: int, reading: Callable[[Array], Array]) -> dict:
+def traced(model: str, axes: int, reading: Callable[[Array], Array], k3: float = 0.0) -> dict:
     config = parse_text(model, ModelConfig, "model")
-    records = [imported_trace_record(flown(seed, axes, reading), config) for seed in (1, 2, 3)]
+    records = [imported_trace_record(flown(seed, axes, reading, k3), config) for seed in (1, 2, 3)]
     return force_summary(trace_records(records, config, all_effects, lambda *_: None))
 
 
@@ -103,6 +106,17 @@ def test_nonlinear_sensor_is_told_from_a_nonlinear_spring() -> None:
     # The free run is compared where the sensor reads it.
     assert found["validation"]["metric"] == "free_run"
     assert found["validation"]["after"] < 0.3 * found["validation"]["before"]
+
+
+def test_a_spring_hardens_with_the_position_and_not_with_what_a_nonlinear_sensor_reads() -> None:
+    found = traced(ONE, 1, bent, k3=4e5)
+    laws = {law["class"]: law for law in found["effects"]}
+    assert set(laws) == {"stiffness", "sensor_nonlinearity"}
+    for kind, name, true in (("stiffness", "k3", 4e5), ("sensor_nonlinearity", "b", 40.0)):
+        assert not laws[kind]["evidence"]["doubtful"]
+        number = laws[kind]["parameters"][name]
+        assert abs(number["value"] - true) < 4.0 * number["se"]  # as above
+        assert number["se"] < 0.05 * true
 
 
 def test_lag_of_the_only_sensor_is_not_told_from_that_of_the_only_actuator() -> None:

@@ -340,7 +340,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
     surely = trace.options.standard_errors
     floors = _floors(*pooled, trace.options.alike)
     displaced = tuple(name for name, _, limit in at_limits(trace.found.point) if limit)
-    if np.isinf(floors) and _confirmed_by_force(trace, pooled[1]):
+    if np.isinf(floors) and _confirmed_by_force(trace, *pooled):
         floors = float("nan")
     for rated, left, leaning in zip(
         trace.found.rated, trace.left_share, trace.leaning, strict=True
@@ -388,16 +388,19 @@ def _floors(before: PooledError, after: PooledError, inexact: float) -> float:
     return float(known.max()) if len(known) else float("nan")
 
 
-def _confirmed_by_force(trace: ForceTrace, after: PooledError) -> bool:
-    """Return whether rows that neither fitted nor chose miss no more force than any law leaves.
+def _confirmed_by_force(trace: ForceTrace, before: PooledError, after: PooledError) -> bool:
+    """Return whether rows that neither fitted nor chose miss no more force than any law leaves, or
+    next to nothing of what they missed before.
 
     A plant between two stops can be chaotic: then no free run converges, of the right law either. A
     free form of all signals, in the fitted rows, stands for any law; where it leaves far more than
     the noise of the outputs too, something moves that no signal shows, and none is confirmed.
     """
-    room = 1.0 - trace.options.least_free_gain
-    as_any = bool(np.all(room * after.force_percent**2 <= trace.free_form**2))
-    return as_any and not _worth(trace, after.force_percent, after.noise_percent)
+    room, squares = 1.0 - trace.options.least_free_gain, after.force_percent**2
+    as_any = bool(np.all(room * squares <= trace.free_form**2))
+    beyond = _worth(trace, after.force_percent, after.noise_percent)
+    little = trace.options.least_gain**2 * np.sum(before.force_percent**2)
+    return bool((as_any and not beyond) or squares.sum() <= little)
 
 
 def _grew(before: Array, after: Array) -> bool:

@@ -166,23 +166,25 @@ def left_with(left: list[float], form: list[float]) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("form", "noise", "confirmed"),
+    ("form", "noise", "missed", "confirmed"),
     [
-        (5.0, 4.9, True),
-        (4.6, 4.6, True),
-        (3.0, 3.0, False),
-        (np.nan, 4.9, False),
-        (5.0, 0.1, False),  # nor does a free form describe it: something moves that none reads
+        (5.0, 4.9, 20.0, True),
+        (4.6, 4.6, 20.0, True),
+        (3.0, 3.0, 20.0, False),
+        (np.nan, 4.9, 20.0, False),
+        (5.0, 0.1, 20.0, False),  # nor does a free form describe it: something moves unread
+        (3.0, 0.1, 51.0, True),  # a hundredth of the squares is left
     ],
 )
 def test_force_confirms_what_leaves_no_more_than_a_free_form_and_noise(
-    form: float, noise: float, confirmed: bool
+    form: float, noise: float, missed: float, confirmed: bool
 ) -> None:
+    before: Any = SimpleNamespace(force_percent=np.array([missed, 0.1]))
     after: Any = SimpleNamespace(
         force_percent=np.array([5.0, 0.1]), noise_percent=np.array([noise, 0.1])
     )
     trace = left_with([5.0, 0.1], [form, 0.1])
-    assert force_trace_summary._confirmed_by_force(trace, after) == confirmed
+    assert force_trace_summary._confirmed_by_force(trace, before, after) == confirmed
 
 
 def test_a_dof_lacks_what_a_free_form_takes_if_it_matters() -> None:

@@ -88,10 +88,13 @@ def with_equals(
 
 
 def _simpler(placed: Placed, effects: Sequence[Effect]) -> list[Tried]:
-    """Return the simpler laws that an effect contains, with its amplitudes and shape."""
+    """Return the simpler laws that an effect contains, with its amplitudes and shape.
+
+    A fit of an amplitude that has another name begins at zero.
+    """
     values = dict(zip((q.name for q in placed.effect.amplitudes), placed.amplitudes, strict=True))
     return [
-        Tried(law, shape, 0.0, np.zeros(1), tuple(values[q.name] for q in law.amplitudes))
+        Tried(law, shape, 0.0, np.zeros(1), tuple(values.get(q.name, 0.0) for q in law.amplitudes))
         for law, shape in placed.effect.simpler(placed.shape, effects)
     ]
 

@@ -40,8 +40,8 @@ _MATRICES = {"K": "q", "D": "qd", "M": "qdd"}
 """Matrices of the linear part, and what each multiplies."""
 _OVERSAMPLED = float(SearchOptions.resolved)
 """Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
-_READINGS = "reading."
-"""How the keys of effects on the readings of an imported plant begin."""
+_BENT = {"sensor_nonlinearity", "sensor_crosstalk"}
+"""Classes of the effects by which a reading is another function of the positions."""
 _INERTIA = {"inertia", "linear_inertia"}
 """Classes of the effects whose force is in proportion to accelerations."""
 _RECENT = 2 * SearchOptions.steps
@@ -345,13 +345,15 @@ class ForceRecord:
         return parts
 
     def _erring(self, point: ForceModel, effect: Effect) -> tuple[Placed, ...]:
-        """Return the effects of a model on the readings, if another effect is a law of the motion.
+        """Return the effects of a model by which readings are bent, if another effect is a law of
+        the motion.
 
-        Linear ones are a part of the matrices, which `groups` multiplies with what is read.
+        Linear ones are a part of the matrices, which `groups` multiplies with what is read. A late
+        reading is no other position, and what comes later is known with more noise.
         """
-        if effect.linear or effect.key.startswith(_READINGS):
+        if effect.linear or effect.effect_class in _BENT:
             return ()
-        return tuple(p for p in point.placed if p.effect.key.startswith(_READINGS))
+        return tuple(p for p in point.placed if p.effect.effect_class in _BENT)
 
     def _moved(self, erring: tuple[Placed, ...]) -> Signals:
         """Return the signals with the positions that readings with these errors tell of."""

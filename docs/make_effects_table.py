@@ -7,6 +7,7 @@ its module. tests/docs/test_effects_table.py fails when the page is not what thi
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -47,6 +48,9 @@ The effects that `levid trace` tries: what a plant may do and its declared model
   actuator has the name of its input; *q and q2* is each pair of DOF. Units there are those of a
   DOF in m and a command in N. Its sensors have the effects `reading.*`, at their DOF; those at a
   sensor are the rig's.
+- **Numbers in brackets** at the end of a name are of the records: the mean position q_m and command
+  F_m around which the equation is written, or the RMS speed or deflection at which it gives the
+  force. Other records give other numbers, and the same law.
 - **Non-rigid part** of the readings: the part that no motion of a rigid platform can produce.
 """
 
@@ -116,7 +120,9 @@ def two_dof() -> Places:
 
 def _row_of(effect: Effect) -> Row:
     """Return what effects of one row of the page have in common."""
-    return _general(effect.key), effect.equation, effect.absorbed_by
+    # A law of a power states the number in its brackets in its equation too.
+    equation = re.sub(r", ([vd]) = \S+ \S+$", "", effect.equation)
+    return _general(effect.key), equation, effect.absorbed_by
 
 
 def _section(module: ModuleType, rows: Mapping[Row, Sequence[Effect]]) -> str:
@@ -150,10 +156,15 @@ def _module(effect: Effect) -> ModuleType:
     return module
 
 
+_BRACKETS = {"permanent_magnet": "q_m", "damping": "v", "stiffness": "d", "actuator": "F_m"}
+"""The number in brackets of a key, by the key's first part."""
+
+
 def _general(key: str) -> str:
     """Return a key without the numbers or the pattern of a mode in it."""
     if key.endswith("]"):
-        return f"{key.partition('[')[0]}[q_m,F_m]"
+        name, _, numbers = key.partition("[")
+        return f"{name}[{'q_m,F_m' if ',' in numbers else _BRACKETS[name.partition('.')[0]]}]"
     head, _, tail = key.rpartition(".")
     if tail in PATTERNS:
         return f"{head}.PATTERN"

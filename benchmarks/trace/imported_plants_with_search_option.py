@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import json
 import sys
+from argparse import ArgumentParser
 from dataclasses import fields
 
 from levid.identification.trace.search_options import SearchOptions
 
 
 def main() -> None:
-    """Read the name and value of a number and the plants from standard input as JSON; print."""
+    """Read numbers by name and plants from standard input as JSON; print whether each is right."""
+    about = "run by search_option_sensitivity.py; reads JSON with `numbers` and `jobs`"
+    ArgumentParser(description=about).parse_args()
     asked = json.load(sys.stdin)
     for name, value in asked["numbers"].items():
         set_default(name, value)

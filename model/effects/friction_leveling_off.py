@@ -51,12 +51,12 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def leveled(ratio: Array) -> Array:
-    """Return x / (1 + |x|)."""
+    """Return x / (1 + |x|) of ratios x of speeds, of any shape."""
     return np.asarray(ratio / (1.0 + np.abs(ratio)))
 
 
 def leveled_integral(ratio: Array) -> Array:
-    """Return the integral of x / (1 + |x|) from 0."""
+    """Return the integral of x / (1 + |x|) from 0 to ratios x, of any shape."""
     size = np.abs(ratio)
     return np.asarray(size - np.log1p(size))
 

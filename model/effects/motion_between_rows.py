@@ -65,7 +65,7 @@ def law_of_speed(
 
 
 def ln_cosh(x: Array) -> Array:
-    """Return ln cosh x, the integral of tanh from 0."""
+    """Return ln cosh x of any shape, the integral of tanh from 0 to x."""
     size = np.abs(x)
     return np.asarray(size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0))
 

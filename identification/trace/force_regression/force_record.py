@@ -320,14 +320,14 @@ class ForceRecord:
         chain = beside(effect, point.placed)
         if all(p.effect.identity == effect.identity for p in chain):
             chain = ()
-        erring = self._erring(point, effect)
-        numbers = tuple((p.effect.identity, p.shape, p.amplitudes) for p in (*chain, *erring))
+        bending = self._bending(point, effect)
+        numbers = tuple((p.effect.identity, p.shape, p.amplitudes) for p in (*chain, *bending))
         timing = (delay_s, lag_s)
         key = (timing, effect.identity, shape, passed and bool(chain), numbers)
         parts = self._parts.get(key) or self._recent.get(key)
         if parts is None:
             late = max(round((delay_s + self.band.own_delay_s) / self.band.Ts_s), 0)
-            signals = replace(self._moved(erring), delay_cycles=late, lag_s=lag_s)
+            signals = replace(self._at_positions(bending), delay_cycles=late, lag_s=lag_s)
             terms = effect.build(reaching(effect, chain, signals), shape)
             if passed:
                 terms = passed_on(effect, terms, chain, signals)
@@ -335,7 +335,7 @@ class ForceRecord:
             if effect.linear and not self.schedule:
                 once = self._once(signals, effect, shape)
                 parts = [(force, *p[1:]) for force, p in zip(once, parts, strict=True)]
-            if keep and not chain and not erring:
+            if keep and not chain and not bending:
                 # Signals of another delay or lag are of no use any more.
                 if self._parts and next(iter(self._parts))[0] != timing:
                     self._parts.clear()
@@ -344,23 +344,23 @@ class ForceRecord:
                 _remember(self._recent, key, parts)
         return parts
 
-    def _erring(self, point: ForceModel, effect: Effect) -> tuple[Placed, ...]:
-        """Return the effects of a model by which readings are bent, if another effect is a law of
-        the motion.
+    def _bending(self, point: ForceModel, effect: Effect) -> tuple[Placed, ...]:
+        """Return the effects that bend a model's readings, if another effect acts at the positions.
 
-        Linear ones are a part of the matrices, which `groups` multiplies with what is read. A late
-        reading is no other position, and what comes later is known with more noise.
+        A linear effect acts as the matrices do, at what is read. A reading that is only late is
+        taken as it is: the speed of its position needs the acceleration, and the noise of that
+        moves the reversals of a friction.
         """
         if effect.linear or effect.effect_class in _BENT:
             return ()
         return tuple(p for p in point.placed if p.effect.effect_class in _BENT)
 
-    def _moved(self, erring: tuple[Placed, ...]) -> Signals:
-        """Return the signals with the positions that readings with these errors tell of."""
-        if not erring:
+    def _at_positions(self, bending: tuple[Placed, ...]) -> Signals:
+        """Return the signals of the positions (N, n), from readings that these effects bend."""
+        if not bending:
             return self.signals
         q, qd, qdd = self.signals.q, self.signals.qd, self.signals.qdd
-        for p in erring:
+        for p in bending:
             gap = p.term(self.signals).gap
             if gap is not None:
                 false = gap @ self.decoupling.T

@@ -177,7 +177,7 @@ def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Picture, Tabl
         Table(
             "Errors of all reported rows: missing force over the inputs' force, and free-run error "
             "over the output. Free form: share that a general function of all signals leaves in "
-            "the fitted rows. Noise: what that of the outputs gives",
+            "the fitted rows. Noise: missing force that noise of the outputs gives",
             head,
             tuple(rows),
         ),

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +85,33 @@ class Beside:
         at = flat.at(self.at.point)
         return Plain(at, flat, flat.columns(at, flat.group_columns(at)))
 
+    def scales(self, linear: bool) -> Array:
+        """Return the forces of which an effect may be a change of scale, of unit size (k, rows).
+
+        They are those of the inputs, of inertia and of all else at each DOF, with the model's
+        effects and without. A linear effect means such a scale, unless it is all that the
+        equation's scale is known by.
+        """
+        return self._forces[self._sets_scale] if linear else self._forces
+
+    @cached_property
+    def _forces(self) -> Array:
+        n = len(self.at.power)
+        found = [
+            np.concatenate([(g[kind] * one).reshape(-1) for g in groups])
+            for groups in (self.at.groups, self.at.bare)
+            for kind in range(len(GROUPS))
+            for one in np.eye(n)
+        ]
+        sizes = np.maximum(np.linalg.norm(found, axis=1), TINY)
+        return np.asarray(found / sizes[:, None])
+
+    @cached_property
+    def _sets_scale(self) -> NDArray[np.bool_]:
+        """Which of these forces alone sets the scale of its equation."""
+        scale = self.training.scale
+        return np.tile(((scale > 0.0) & (scale.sum(axis=0) == 1.0)).reshape(-1), 2)
+
     @property
     def squares(self) -> float:
         """Sum of squares of what the columns do not explain."""
@@ -152,22 +178,13 @@ def taken_at(beside: Beside, effect: Effect, shape: Shape, told_from_model: floa
     """Return the squared error that an effect takes at a shape.
 
     None if less than `told_from_model` of its squared force remains beside the model's columns, or
-    beside the force of the inputs, of inertia, or of all else, with the model's effects or without:
-    it is then a change of the model's parameters, or of the scale of one of these. A linear effect
-    means such a scale, unless it is all that the equation's scale is known by.
+    beside one of its `scales`: it is then a change of the model's parameters, or of a scale.
     """
     fit = beside.fitted(effect, shape, told_from_model, keep=True)
     whole = np.sum(fit.X * fit.X, axis=0)
     remains = np.sum(fit.left * fit.left, axis=0)
-    n = len(beside.at.power)
-    whether, scale = (beside.at.groups, beside.at.bare), beside.training.scale
-    for groups, kind, i in product(whether, range(len(GROUPS)), range(n)):
-        if effect.linear and not (scale[kind, i] and scale[:, i].sum() == 1.0):
-            continue
-        one = np.arange(n) == i
-        group = np.concatenate([(g[kind] * one).reshape(-1) for g in groups])
-        along = (group @ fit.X) ** 2 / max(float(group @ group), TINY)
-        remains = np.minimum(remains, whole - along)
+    along = (beside.scales(effect.linear) @ fit.X) ** 2
+    remains = np.minimum(remains, np.min(whole - along, axis=0, initial=np.inf))
     if not np.any(remains > told_from_model * whole):
         return None
     return float(beside.squares - fit.rest @ fit.rest)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import ceil, log2
 
 import numpy as np
@@ -91,12 +92,12 @@ class Training:
 
     def at(self, point: ForceModel) -> Evaluated:
         """Return the missing force of a model, and the forces that it consists of."""
-        groups = [self._weighed(r, r.groups(point)) for r in self.records]
+        groups = self._weighed(r.groups(point) for r in self.records)
         power = self._power(groups)
         share, bare = np.ones(len(power)), groups
         if point.placed:
             alone = replace(point, placed=())
-            bare = [self._weighed(r, r.groups(alone)) for r in self.records]
+            bare = self._weighed(r.groups(alone) for r in self.records)
             plain = self._power(bare)
             ratio = np.divide(plain, power, out=np.ones(len(power)), where=power > 0.0)
             share = np.sqrt(np.maximum(ratio, 1.0))
@@ -113,10 +114,8 @@ class Training:
         forces: of each record (amplitudes, rows, n). pull (amplitudes, n): relative change of the
         root of the power by each. keep: whether filtered signals are kept for the next call.
         """
-        changes = [
-            self._weighed(r, r.group_changes(at.point, effect, shape, keep)) for r in self.records
-        ]
-        return self._forces_of(at, changes)
+        changes = (r.group_changes(at.point, effect, shape, keep) for r in self.records)
+        return self._forces_of(at, self._weighed(changes))
 
     def _forces_of(self, at: Evaluated, changes: Sequence[Array]) -> tuple[list[Array], Array]:
         forces = [at.share * (c[:, 0] - c[:, 1] - c[:, 2]) for c in changes]
@@ -131,7 +130,7 @@ class Training:
 
     def effect_changes(self, at: Evaluated, placed: Placed) -> list[Array]:
         """Return the changes of the groups by an effect's free numbers (c, 3, rows, n)."""
-        point, a, found = at.point, np.array(placed.amplitudes), []
+        point, a, changes = at.point, np.array(placed.amplitudes), []
         free = placed.freedom.T
         for r in self.records:
             own = [r.group_changes(point, placed.effect, placed.shape)]
@@ -139,8 +138,8 @@ class Training:
                 low, high, width = shapes_beside(q, placed.shape, i)
                 lower, upper = (r.group_changes(point, placed.effect, s) for s in (low, high))
                 own.append(np.tensordot(a, (upper - lower) / width, 1)[None])
-            found.append(self._weighed(r, np.tensordot(free, np.concatenate(own), 1)))
-        return found
+            changes.append(np.tensordot(free, np.concatenate(own), 1))
+        return self._weighed(changes)
 
     def effect_columns(
         self, at: Evaluated, changes: Sequence[Array], shrinks: bool = False
@@ -212,8 +211,8 @@ class Training:
             changes = np.zeros((len(pairs), len(GROUPS), *r.kept[0].shape))
             for i, (low, high) in enumerate(pairs):
                 changes[i] = (r.groups(high) - r.groups(low)) / (2 * DIFFERENCE)
-            found.append(self._weighed(r, changes))
-        return found
+            found.append(changes)
+        return self._weighed(found)
 
     def prior(self, point: ForceModel) -> Array:
         """Return the Gram matrix of the parameters' priors, for [columns, missing]."""
@@ -408,12 +407,27 @@ class Training:
             A, b = np.vstack([A, wide]), np.concatenate([b, -rows[:, -1]])
         return A, b
 
-    def _weighed(self, record: ForceRecord, values: Array) -> Array:
-        white = self.whitening.apply(values, record.band.row_s)
-        constant = self.whitening.apply(record.moves, record.band.row_s)
-        squares = np.maximum(np.sum(constant * constant, axis=0), TINY)
-        share = np.sum(white * constant, axis=-2, keepdims=True) / squares
-        return np.asarray(white - share * constant)
+    def _weighed(self, values: Iterable[Array]) -> list[Array]:
+        """Return forces of each record (..., rows, n) with weights, free of what is constant.
+
+        Most effects change one of the groups only, so most of the columns are zero.
+        """
+        found = []
+        for record, own, constant in zip(self.records, values, self._constants, strict=True):
+            columns = own.reshape(-1, *own.shape[-2:])
+            acts = columns.any(axis=(1, 2))
+            white = self.whitening.apply(columns[acts], record.band.row_s)
+            squares = np.maximum(np.sum(constant * constant, axis=0), TINY)
+            share = np.sum(white * constant, axis=1, keepdims=True) / squares
+            weighed = np.zeros_like(columns)
+            weighed[acts] = white - share * constant
+            found.append(weighed.reshape(own.shape))
+        return found
+
+    @cached_property
+    def _constants(self) -> list[Array]:
+        """A constant force where DOF move, with weights, of each record (rows, n)."""
+        return [self.whitening.apply(r.moves, r.band.row_s) for r in self.records]
 
 
 def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[np.bool_]:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..identification.trace.figure_data import Views, views
-from ..identification.trace.found_effects_summary import model_after, outcome, summary
+from ..identification.trace.found_effects_summary import outcome, summary
 from ..identification.trace.run_trace import Trace as Result
 from ..identification.trace.run_trace import trace
+from ..identification.trace.traced_model import model_after
 from ..identification.trace.worker_pool import cluster_workers, local_workers
 from ..model.effects.candidate_effects import all_effects
 from .model_file_errors import naming_the_file

@@ -19,8 +19,8 @@ from .progress import progress, say
 
 if TYPE_CHECKING:
     from ..api.trace import Trace
-    from ..identification.trace.found_effects_summary import FoundEffect, Outcome
     from ..identification.trace.run_trace import Trace as RigTrace
+    from ..identification.trace.trace_outcome import FoundEffect, Outcome
 
 
 @click.command("trace")
@@ -158,8 +158,9 @@ def words(found: Trace) -> list[str]:
 
 def _words(found: RigTrace) -> list[str]:
     from ..identification.records.record import OTHER_STEP
-    from ..identification.trace.found_effects_summary import NO_STILL, PERHAPS_A_PART, outcome
+    from ..identification.trace.found_effects_summary import outcome
     from ..identification.trace.residual.free_run_error import percent_of_pose
+    from ..identification.trace.trace_outcome import NO_STILL, PERHAPS_A_PART
     from ..report.trace.answer import rig_answer
 
     result = outcome(found)
@@ -210,7 +211,7 @@ def _words(found: RigTrace) -> list[str]:
 
 
 def _effect(found: FoundEffect) -> list[str]:
-    from ..identification.trace.found_effects_summary import telling
+    from ..identification.trace.trace_outcome import telling
 
     effect, why = found.effect, found.evidence
     # The coefficients of a free-form term have no physical meaning.
@@ -265,7 +266,7 @@ def _identify_with(logs: Sequence[Path], out: Path) -> str:
 
 
 def _next_of_rig(result: Outcome, logs: Sequence[Path], out: Path) -> str:
-    from ..identification.trace.found_effects_summary import telling
+    from ..identification.trace.trace_outcome import telling
 
     rivals = [f for f in result.effects if f.evidence is not None and f.evidence.alternatives]
     if rivals:

@@ -16,8 +16,9 @@ from levid.benchmarks.harness.virtual_flight import RIG, fly_session
 from levid.config.base import ConfigError, read_mapping
 from levid.config.shipped import shipped
 from levid.daemon.control.faults import FlightFault
-from levid.identification.trace.found_effects_summary import model_after, summary
+from levid.identification.trace.found_effects_summary import summary
 from levid.identification.trace.run_trace import trace
+from levid.identification.trace.traced_model import model_after
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log
 from levid.model.effects.candidate_effects import all_effects

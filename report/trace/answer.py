@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...identification.trace.found_effects_summary import NOISE_MOST
 from ...identification.trace.search_options import SearchOptions
+from ...identification.trace.trace_outcome import NOISE_MOST
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.number_format import times_text
 from ..session.session_page import listed
@@ -18,7 +18,7 @@ from .effect_in_words import effect_in_words
 
 if TYPE_CHECKING:
     from ...identification.trace.force_regression.force_trace_summary import ForceOutcome
-    from ...identification.trace.found_effects_summary import Outcome
+    from ...identification.trace.trace_outcome import Outcome
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ...config.model import EffectParameter
 from ...identification.subspace.response_uncertainty import SURE_95
 from ...identification.trace.figure_data import Aspect, RecordView, Views
-from ...identification.trace.found_effects_summary import FoundEffect, Outcome, RandomForce, telling
 from ...identification.trace.residual.binned_means import dependence
+from ...identification.trace.trace_outcome import FoundEffect, Outcome, RandomForce, telling
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
 from ..plotting.number_format import (

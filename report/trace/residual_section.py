@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...identification.trace.figure_data import RecordView, Views
-from ...identification.trace.found_effects_summary import Outcome
 from ...identification.trace.residual.binned_means import Dependence, dependence
 from ...identification.trace.run_trace import Trace
+from ...identification.trace.trace_outcome import Outcome
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Text
 from ..plotting.labelled_frequency_responses import symbol

@@ -9,17 +9,17 @@ from pathlib import Path
 
 from ...config.model import EffectParameter
 from ...identification.trace.figure_data import Views
-from ...identification.trace.found_effects_summary import (
+from ...identification.trace.found_effects_summary import outcome
+from ...identification.trace.run_trace import Trace
+from ...identification.trace.trace_outcome import (
     NO_STILL,
     NOISE_MOST,
     PERHAPS_A_PART,
     FoundEffect,
     Outcome,
     RandomForce,
-    outcome,
     telling,
 )
-from ...identification.trace.run_trace import Trace
 from ...model.effects.base import in_words
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import (

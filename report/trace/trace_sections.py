@@ -14,10 +14,11 @@ from ...config.version import __version__
 from ...identification.records.record import OTHER_STEP
 from ...identification.subspace.response_uncertainty import SURE_95
 from ...identification.trace.figure_data import Views
-from ...identification.trace.found_effects_summary import Outcome, model_after
 from ...identification.trace.run_trace import Trace
 from ...identification.trace.search.predictive_criterion import certainty
 from ...identification.trace.search.tested_candidate import Round
+from ...identification.trace.trace_outcome import Outcome
+from ...identification.trace.traced_model import model_after
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Steps, Table, Text
 from ..plotting.labelled_frequency_responses import symbol

@@ -11,8 +11,9 @@ from effect_test_helpers import rig_places
 
 from levid.config.base import parse_text
 from levid.config.model import EffectParameter, ModelConfig, ModelEffect
-from levid.identification.trace.found_effects_summary import FoundEffect, Outcome, model_effect
 from levid.identification.trace.records.record_from_log import imported_places
+from levid.identification.trace.trace_outcome import FoundEffect, Outcome
+from levid.identification.trace.traced_model import model_effect
 from levid.model.effects.base import Effect, Placed, Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.effect_serialization import placed_effects

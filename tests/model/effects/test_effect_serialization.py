@@ -12,7 +12,7 @@ from levid.config.base import parse_text
 from levid.config.model import EffectParameter, ModelConfig, ModelEffect, load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.identify_greybox import to_yaml
-from levid.identification.trace.found_effects_summary import model_effect
+from levid.identification.trace.traced_model import model_effect
 from levid.model.declared_model import ModelError
 from levid.model.effects.base import Placed, Places
 from levid.model.effects.candidate_effects import all_effects

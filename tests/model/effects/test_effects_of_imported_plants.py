@@ -15,8 +15,8 @@ from scipy.interpolate import CubicHermiteSpline
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.identify_greybox import to_yaml
-from levid.identification.trace.found_effects_summary import model_effect
 from levid.identification.trace.records.record_from_log import imported_places
+from levid.identification.trace.traced_model import model_effect
 from levid.model.effects.base import Effect, Placed, Places, Signals
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.effect_serialization import placed_effects

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from effect_test_helpers import rig_places
 
-from levid.identification.trace.found_effects_summary import Evidence, FoundEffect, Outcome, telling
+from levid.identification.trace.trace_outcome import Evidence, FoundEffect, Outcome, telling
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects

@@ -120,6 +120,24 @@ LAWS = {
         Kind.PERMANENT_MAGNET, ("magnetic_force",)
     ),
     "cubic_damper": Law(Kind.CUBIC_DAMPER, ("damping",)),
+    "shaft": Law(
+        Kind.SHAFT, ("flexible_mode",), effect="flexible_mode.load",
+        names=("m", "frequency", "damping", "slowing"),
+    ),
+    "drifting_damping": Law(
+        Kind.DRIFTING_DAMPING, ("damping",), effect="damping.drift", names=("rate",)
+    ),
+    "drifting_stiffness": Law(
+        Kind.DRIFTING_STIFFNESS, ("stiffness",), effect="stiffness.drift", names=("rate",)
+    ),
+    "drifting_mass": Law(
+        Kind.DRIFTING_MASS, ("inertia",), effect="inertia.drift", names=("rate",)
+    ),
+    "warming_friction": Law(Kind.WARMING, ("friction",)),
+    "bent_reading": Law(Kind.BENT, ("sensor_nonlinearity",)),
+    "warming_grease": Law(
+        Kind.COOLING, ("damping",), effect="damping.warming", names=("cold", "tau")
+    ),
 }  # fmt: skip
 """Effects by name. A plant's seed has the number of its law in it: new ones come last."""
 
@@ -129,8 +147,11 @@ _ANYWHERE = (
     "quantised", "drift", "lag", "delay", "drag_15", "two_gains", "creep", "rate_limit",
     "second_order", "thinning_grease", "loaded_gear", "preload",
     "hysteresis", "soft_spring", "quintic", "foam", "permanent_magnet", "cubic_damper",
+    "shaft", "drifting_damping", "drifting_stiffness", "drifting_mass", "bent_reading",
+    "warming_grease",
 )  # fmt: skip
-_RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction", "slow_friction")
+_RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction", "slow_friction",
+            "warming_friction")  # fmt: skip
 _LONG = ("cogging", "force_ripple")
 CASES = {
     "drive": (*_ANYWHERE, *_RUBBING, *_LONG),
@@ -241,7 +262,7 @@ def _drawn(
         # not. In twice the largest one it hardly is nonlinear.
         wider = (share * numbers for share in np.linspace(1.0, 2.0, _BISECTIONS))
         numbers, size = next((n, found) for n in wider if np.isfinite(found := sized(n)))
-    if law.kind not in (Kind.SINE, *_MAGNETS):
+    if law.kind not in (Kind.SINE, Kind.BENT, *_MAGNETS):
         numbers, size = _with_size(sized, wanted, numbers, _most(law.kind, plant, plain, place))
     return Drawn(law, where, numbers, size), place
 
@@ -328,6 +349,16 @@ def _numbers(
         Kind.PERMANENT_MAGNET: (-tenth, q * (5.0 + 5.0 * share)),
         Kind.CUBIC_DAMPER: (tenth / w**3,),
         Kind.HYSTERESIS: (0.2, (0.1 + share) * u),
+        Kind.SHAFT: (
+            0.2 * mass, middle * rng.uniform(0.5, 1.2), rng.uniform(0.01, 0.05),
+            middle * rng.uniform(0.05, 2.0),
+        ),
+        Kind.DRIFTING_DAMPING: (tenth / w / seconds,),
+        Kind.DRIFTING_STIFFNESS: (tenth / q / seconds,),
+        Kind.DRIFTING_MASS: (0.3 * mass / seconds,),
+        Kind.WARMING: (tenth, v, 4.0 * share, seconds * rng.uniform(0.05, 0.5)),
+        Kind.COOLING: (tenth / w, seconds * rng.uniform(0.05, 0.5)),
+        Kind.BENT: (np.sign(share - 0.25) * (0.01 + 0.3 * abs(share - 0.25)) / q,),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))
 

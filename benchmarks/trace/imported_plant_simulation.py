@@ -63,11 +63,19 @@ class Kind(IntEnum):
     FOAM = 37  # -s (exp(q / d) - 1)
     PERMANENT_MAGNET = 38  # s (1 / (1 - q / y0)^2 - 1)
     CUBIC_DAMPER = 39  # -s w^3
+    SHAFT = 40  # a mass of s on a soft shaft, in bearings: frequency, damping, slowing
+    DRIFTING_DAMPING = 41  # -s t w
+    DRIFTING_STIFFNESS = 42  # -s t q
+    DRIFTING_MASS = 43  # -s t w'
+    WARMING = 44  # -s (1 + share exp(-t / tau)) tanh(w / v): number s, v, share, tau
+    COOLING = 46  # -s exp(-t / tau) w
+    BENT = 45  # a reading of q + s q^2
 
 
 _FORCES_ON_DOF = (
     Kind.THINNING, Kind.PRELOAD, Kind.LEVELING, Kind.SOFT_SPRING, Kind.QUINTIC, Kind.FOAM,
-    Kind.PERMANENT_MAGNET, Kind.CUBIC_DAMPER,
+    Kind.PERMANENT_MAGNET, Kind.CUBIC_DAMPER, Kind.DRIFTING_DAMPING, Kind.DRIFTING_STIFFNESS,
+    Kind.WARMING, Kind.COOLING,
 )  # fmt: skip
 """Of the kinds behind those of an input."""
 
@@ -126,7 +134,7 @@ def simulated(plant: Linear, v: Array, rng: np.random.Generator, *effects: Actin
 
 
 def _on_dof(  # noqa: PLR0911, PLR0912 - numba has no match
-    kind: int, s: Array, q: float, w: float
+    kind: int, s: Array, q: float, w: float, t_s: float
 ) -> float:
     if kind == Kind.COULOMB:
         return -s[0] * np.tanh(w / s[1])
@@ -164,6 +172,14 @@ def _on_dof(  # noqa: PLR0911, PLR0912 - numba has no match
         return s[0] * (max(1.0 - q / s[1], 0.1) ** -2.0 - 1.0)
     if kind == Kind.CUBIC_DAMPER:
         return -s[0] * w**3
+    if kind == Kind.DRIFTING_DAMPING:
+        return -s[0] * t_s * w
+    if kind == Kind.DRIFTING_STIFFNESS:
+        return -s[0] * t_s * q
+    if kind == Kind.COOLING:
+        return -s[0] * np.exp(-t_s / s[1]) * w
+    if kind == Kind.WARMING:
+        return -s[0] * (1.0 + s[2] * np.exp(-t_s / s[3])) * np.tanh(w / s[1])
     if kind == Kind.PRELOAD:
         return -s[0] * min(max((q - s[1]) / s[2], -1.0), 1.0)
     if kind == Kind.DRAG_15:
@@ -214,6 +230,9 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
     F, extra = np.zeros(m), np.zeros(n)
     for row in range(rows):
         y[row] = q + noise[row]
+        for e in range(len(kinds)):
+            if kinds[e] == Kind.BENT:
+                y[row, places[e]] += four[e, 0] * q[places[e]] ** 2
         u[row] = v[row] - kp @ y[row] - kd @ (y[row] - last)
         last = y[row].copy()
         for step in range(steps):
@@ -222,6 +241,7 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
                 F[:] = u[row]
                 extra[:] = 0.0
                 pull = lag_rate = 0.0
+                t_s = (row + (step + 0.5) / steps) * Ts_s
                 for e in range(len(kinds)):
                     kind, place, s = kinds[e], places[e], four[e]
                     if kind == Kind.MAGNET:
@@ -253,18 +273,24 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
                     elif kind == Kind.DELAY:
                         if step < round(s[0] / h):
                             F[place] = before[place]
-                    elif kind >= Kind.SQUARED and kind not in _FORCES_ON_DOF:
+                    elif Kind.SQUARED <= kind < Kind.SHAFT and kind not in _FORCES_ON_DOF:
                         at = min(place, n - 1)
-                        t_s = (row + (step + 0.5) / steps) * Ts_s
                         F[place] = _input_force(kind, s, F[place], q_mid[at], w_mid[at], t_s)
-                    elif kind == Kind.LOOSE_MASS:
+                    elif kind in (Kind.LOOSE_MASS, Kind.SHAFT):
                         rate = 2.0 * np.pi * s[1]
                         pull = rate * rate * (hung_mid - q_mid[place])
                         pull += 2.0 * s[2] * rate * (hung_w_mid - w_mid[place])
                         extra[place] += s[0] * pull
-                    elif kind > 0:
-                        extra[place] += _dof_force(kind, s, q_mid[place], w_mid[place])
+                        pull += s[3] * hung_w_mid
+                    elif kind not in (Kind.NONE, Kind.DRIFTING_MASS, Kind.BENT):
+                        extra[place] += _dof_force(kind, s, q_mid[place], w_mid[place], t_s)
                 a = Minv @ (B @ F - D @ w_mid - K @ q_mid + extra)
+                for e in range(len(kinds)):
+                    if kinds[e] == Kind.DRIFTING_MASS:
+                        place, more = places[e], four[e, 0] * t_s
+                        own = a[place] / (1.0 + more * Minv[place, place])
+                        a = a - more * own * Minv[:, place]
+                        extra[place] -= more * own
                 part = 0.5 * h if half == 0 else h
                 q_mid, w_mid = q + part * w_mid, w + part * a
                 hung_mid, hung_w_mid = hung + part * hung_w_mid, hung_w - part * pull

@@ -29,9 +29,9 @@ _MODES_HZ = (25.0, 45.0, 80.0, 140.0, 280.0)
 _HIGHER_HZ = (45.0, 110.0, 280.0)
 _HIGHER = ("wave_x", "wave_y", "egg_box")
 """Patterns that are rarely the first bending mode of a plate."""
-_LOOSE_HZ = (7.5, 15.0, 30.0, 60.0)
+LOOSE_HZ = (7.5, 15.0, 30.0, 60.0)
 LOWEST_HZ = 5.0
-_DAMPING = 0.08
+DAMPING_START = 0.08
 """Damping ratio to start from, so large that neighbouring grid frequencies overlap."""
 
 
@@ -53,9 +53,9 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 "w = 2 pi frequency, zeta = damping",
                 (Quantity("m", f"{places.force_unit(i)} s^2/{places.dof_units[i]}", 0.0),),
                 partial(_loose_mass, dof=i),
-                _resonance(LOWEST_HZ if places.beam else extent.slowest_hz),
+                resonance(LOWEST_HZ if places.beam else extent.slowest_hz),
                 (
-                    *((f, _DAMPING) for f in _loose_hz(places, extent)),
+                    *((f, DAMPING_START) for f in _loose_hz(places, extent)),
                     *((f, zeta) for of, f, zeta in extent.dof_resonances if of == i),
                 ),
                 absorbed_by="far below its frequency: mass",
@@ -118,10 +118,11 @@ def _polynomials(xy: Array) -> Array:
 
 def _loose_hz(places: Places, extent: Extent) -> tuple[float, ...]:
     """Return start frequencies of a mass on a spring: all that the records can show."""
-    return _LOOSE_HZ if places.beam else extent.resonance_starts_hz() or _LOOSE_HZ
+    return LOOSE_HZ if places.beam else extent.resonance_starts_hz() or LOOSE_HZ
 
 
-def _resonance(lowest_hz: float = LOWEST_HZ) -> tuple[Quantity, Quantity]:
+def resonance(lowest_hz: float = LOWEST_HZ) -> tuple[Quantity, Quantity]:
+    """Return frequency and damping ratio of what vibrates."""
     return (
         Quantity("frequency", "Hz", lowest_hz, 1000.0, log=True),
         Quantity("damping", "1", 1e-3, 0.7, log=True),
@@ -145,7 +146,7 @@ def _modes(places: Places, extent: Extent) -> list[Effect]:
                 "w = 2 pi frequency, zeta = damping, phi = this pattern + shares of the others",
                 (Quantity("per_mass", "1/kg", 0.0),),
                 partial(_mode, base=i),
-                (*_resonance(), *(Quantity(other, "1", -3.0, 3.0) for other in others)),
+                (*resonance(), *(Quantity(other, "1", -3.0, 3.0) for other in others)),
                 tuple((*start, *(0.0 for _ in others)) for start in _starts(name, extent)),
                 absorbed_by="not visible without excitation of single coils",
                 told_apart_by="excitation of the coils one by one, up to its frequency",
@@ -157,7 +158,7 @@ def _modes(places: Places, extent: Extent) -> list[Effect]:
 def _starts(name: str, extent: Extent) -> list[tuple[float, float]]:
     """Return start values of frequency and damping: a grid, and those seen in the readings."""
     seen = [(f_hz, zeta) for pattern, f_hz, zeta in extent.resonances if pattern == name]
-    return [(f_hz, _DAMPING) for f_hz in (_HIGHER_HZ if name in _HIGHER else _MODES_HZ)] + seen
+    return [(f_hz, DAMPING_START) for f_hz in (_HIGHER_HZ if name in _HIGHER else _MODES_HZ)] + seen
 
 
 def _mode(signals: Signals, shape: Sequence[float], *, base: int) -> list[Term]:
@@ -175,7 +176,22 @@ def delayed(signals: Signals) -> Array:
 
 def _loose_mass(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     q, qd = signals.q[:, dof], signals.qd[:, dof]
-    w = 2 * np.pi * shape[0]
-    stiff, damp = w * w, 2 * shape[1] * w
-    p = smooth_oscillator(stiff * q + damp * qd, shape[0], shape[1], signals.Ts_s)
-    return [on_dof(signals, dof, stiff * (p[:, 0] - q) + damp * (p[:, 1] - qd))]
+    return [on_dof(signals, dof, pull_of_mass(q, qd, shape[0], shape[1], signals.Ts_s))]
+
+
+def pull_of_mass(
+    q: Array, qd: Array, frequency_hz: float, damping: float, Ts_s: float, slowing: float = 0.0
+) -> Array:
+    """Return the force (N,) of a unit mass on a spring on the DOF that it hangs on.
+
+    slowing: by how much of its speed bearings in the frame slow it down in a second. It starts with
+    the speed of the DOF.
+    """
+    w = 2.0 * np.pi * frequency_hz
+    stiff, damp = w * w, 2.0 * damping * w
+    # Of its position p: p'' + (damp + slowing) p' + stiff p = stiff q + damp q'. What is solved is
+    # its way from a uniform motion with the first speed.
+    x = q - q[0] - qd[0] * Ts_s * np.arange(len(q))
+    drive = stiff * x + damp * (qd - qd[0]) - slowing * qd[0]
+    p = smooth_oscillator(drive, frequency_hz, damping + 0.5 * slowing / w, Ts_s)
+    return np.asarray(stiff * (p[:, 0] - x) + damp * (p[:, 1] - qd + qd[0]))

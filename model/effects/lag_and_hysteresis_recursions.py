@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
 
@@ -22,6 +23,8 @@ _RADIANS = 0.15
 """Largest phase of a resonance per step; the relative frequency error is its square over 24."""
 _SAME_POLES = 1e-6
 """Half of the distance between two poles, in radians per period, below which they are one."""
+_CRITICAL = 1e-6
+"""Damped over undamped frequency that stands for none: what this changes is its square."""
 _STEP, _RESTS = 0.2, 1e-12
 """Largest step of the Bouc-Wen equation over the break-away displacement, and least change of its
 force by a step: with less it has come to its limit."""
@@ -223,7 +226,7 @@ def smooth_oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: f
     equilibrium of the first sample.
     """
     w = 2 * math.pi * frequency_hz
-    wd = w * math.sqrt(max(1 - damping**2, 1e-12))
+    wd = w * (cmath.sqrt(1.0 - damping**2) or _CRITICAL)
     rows, points = len(force), min(_POINTS, len(force))
     if points < 2:
         return np.stack([force / w**2, np.zeros(rows)], axis=1)
@@ -231,8 +234,8 @@ def smooth_oscillator(force: Array, frequency_hz: float, damping: float, Ts_s: f
     along = 0.5 + 0.5 * nodes
     left_s = Ts_s * np.append(1.0 - along, 1.0)  # what acts then moves it for so long
     decay = np.exp(-damping * w * left_s)
-    moved = decay * np.sin(wd * left_s) / wd
-    speed = decay * np.cos(wd * left_s) - damping * w * moved
+    moved = decay * np.real(np.sin(wd * left_s) / wd)
+    speed = decay * np.real(np.cos(wd * left_s)) - damping * w * moved
     impulses = 0.5 * Ts_s * weights * np.stack([moved, speed])[:, :-1]
     to_powers = np.linalg.inv(np.vander(np.arange(points), points, increasing=True))
     begins = np.clip(np.arange(rows - 1) - (points // 2 - 1), 0, rows - points)

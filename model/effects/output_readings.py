@@ -2,9 +2,10 @@
 
 The position is a function of the reading, as a calibration states it, so that the force of a record
 is linear in the numbers; the reading of a simulated motion follows from its inverse. A gain is a
-change of units and is not told from the model. A cubic sensor at low frequencies is a cubic spring:
-inertia and damping, which act on the true motion, tell the two apart. The lag of the only sensor is
-that of the only actuator if the plant is linear.
+change of units and is not told from the model. Where a reading is a quadratic of the position, or 1
+over a gap, the position is nearly a ratio of polynomials of it. A cubic sensor at low frequencies
+is a cubic spring: inertia and damping, which act on the true motion, tell the two apart. The lag of
+the only sensor is that of the only actuator if the plant is linear.
 
 The disk of an encoder that is not centred on its shaft reads a sine of the angle too much, once a
 revolution.
@@ -27,11 +28,13 @@ from .coil_timing import late_starts, latest_s
 from .force_units import per_unit, ratio
 from .gravity import RADIANS
 from .lag_and_hysteresis_recursions import lagged_motion
-from .operating_range import Extent
+from .operating_range import EXCURSION, Extent
 
 _NEWTON_STEPS = 20
 _LEAST_SLOPE = 0.1
 """Least change of the position per reading in Newton steps: a calibration does not turn back."""
+_FAR = 0.5
+"""Largest c r of a curve of the position: at 1 it would have a pole."""
 _AMPLITUDES = "excitation at two amplitudes, up to frequencies where inertia counts"
 
 
@@ -59,6 +62,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     along_motion=partial(_bent_reading, sensor=i, power=power),
                 )
             )
+        found.append(_rational(i, dof, unit, extent))
         if unit in RADIANS and unit != "1":
             found.append(
                 Effect(
@@ -124,12 +128,46 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
+def _rational(i: int, dof: str, unit: str, extent: Extent) -> Effect:
+    """Return a sensor whose reading is a quadratic of the position, or 1 over a gap, or between."""
+    most = _FAR / (abs(extent.around(i)) + EXCURSION * extent.reach[i])
+    return Effect(
+        "reading.rational",
+        "Rational nonlinearity of the sensor",
+        "sensor_nonlinearity",
+        (dof,),
+        "position = r + a r^2 / (1 + c r), r the reading",
+        (Quantity("a", per_unit(unit, 1)),),
+        partial(_curve, sensor=i),
+        (Quantity("c", per_unit(unit, 1), -most, most),),
+        ((-0.5 * most,), (0.5 * most,)),
+        absorbed_by="at low frequencies: a nonlinear spring",
+        told_apart_by=_AMPLITUDES,
+        along_motion=partial(_curved_reading, sensor=i),
+        contains={"reading.quadratic": _straight},
+    )
+
+
+def _straight(_shape: Sequence[float]) -> tuple[float, ...]:
+    return ()
+
+
 # The position less the reading, which a force balance subtracts as an error of the reading.
 
 
 def _power(signals: Signals, _shape: Sequence[float], *, sensor: int, power: int) -> list[Term]:
     r = signals.q[:, sensor]
     return [on_sensor(signals, sensor, -(r**power))]
+
+
+def _curve(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
+    r = signals.q[:, sensor]
+    return [on_sensor(signals, sensor, -(r * r) / _below(1.0 + shape[0] * r))]
+
+
+def _below(whole: Array) -> Array:
+    """Return a denominator that is never near zero, which it is beyond all readings."""
+    return np.maximum(whole, _LEAST_SLOPE)
 
 
 def _eccentric(
@@ -164,6 +202,18 @@ def _bent_reading(
     for _ in range(_NEWTON_STEPS):
         slope = 1.0 + power * bend * r ** (power - 1)
         r = r - (r + bend * r**power - h) / np.maximum(slope, _LEAST_SLOPE)
+    return on_sensor(signals, sensor, r - h)
+
+
+def _curved_reading(
+    signals: Signals, shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int
+) -> Term:
+    h, a, c = signals.q[:, sensor], amplitudes[0], shape[0]
+    r = h.copy()
+    for _ in range(_NEWTON_STEPS):
+        below = _below(1.0 + c * r)
+        slope = 1.0 + a * r * (2.0 + c * r) / below**2
+        r = r - (r + a * r * r / below - h) / np.maximum(slope, _LEAST_SLOPE)
     return on_sensor(signals, sensor, r - h)
 
 

@@ -49,7 +49,8 @@ class ForceOutcome:
     in the fitted rows, in per cent, nan without one. lacking: by DOF, the share of the squared
     missing force that a function of the motion foretells, where it matters. beyond_noise: by DOF,
     the share of the squared missing force that the noise of the outputs does not explain, where it
-    matters. form_matters: whether a free form of all signals would take what matters at any DOF.
+    matters. form_matters: whether a free form of all signals would take what matters at any DOF,
+    beyond that noise: a form of noisy signals takes a part of their noise.
     nearest: what takes much of what is left, and was refused, as a clause; empty if nothing does.
     """
 
@@ -101,11 +102,10 @@ class ForceOutcome:
     @property
     def rest(self) -> str:
         """What the model leaves of the force, in a clause."""
+        forms = self.free_form if self.form_matters else np.full(len(self.dof), np.nan)
         left = [
             f"{after:.3g} % of the force at {name}" + _beside(form, after)
-            for name, after, form in zip(
-                self.dof, self.after.force_percent, self.free_form, strict=True
-            )
+            for name, after, form in zip(self.dof, self.after.force_percent, forms, strict=True)
         ]
         return "; ".join([f"the model leaves {', '.join(left)}", *self.lacks])
 
@@ -147,7 +147,7 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         trace.free_form,
         _lacking(trace),
         _worth(trace, after.force_percent, after.noise_percent),
-        bool(_worth(trace, after.force_percent, trace.free_form)),
+        bool(_worth(trace, after.force_percent, _any_law(trace, after))),
         trace.places.dof,
         _nearest(trace),
     )
@@ -174,6 +174,12 @@ def _worth(trace: ForceTrace, left: Array, form: Array) -> dict[str, float]:
         if share > options.least_free_gain and before - after > PERCENT * options.least_force:
             found[name] = float(share)
     return found
+
+
+def _any_law(trace: ForceTrace, after: PooledError) -> Array:
+    """Return what any law leaves of the force (n,) in per cent: as much as a free form of all
+    signals, and no less than the noise of the outputs."""
+    return np.maximum(trace.free_form, np.nan_to_num(after.noise_percent))
 
 
 def _nearest(trace: ForceTrace) -> str:
@@ -397,7 +403,7 @@ def _confirmed_by_force(trace: ForceTrace, before: PooledError, after: PooledErr
     the noise of the outputs too, something moves that no signal shows, and none is confirmed.
     """
     room, squares = 1.0 - trace.options.least_free_gain, after.force_percent**2
-    as_any = bool(np.all(room * squares <= trace.free_form**2))
+    as_any = bool(np.all(room * squares <= _any_law(trace, after) ** 2))
     beyond = _worth(trace, after.force_percent, after.noise_percent)
     little = trace.options.least_gain**2 * np.sum(before.force_percent**2)
     return bool((as_any and not beyond) or squares.sum() <= little)

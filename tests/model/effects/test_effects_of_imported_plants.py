@@ -35,6 +35,12 @@ K: [[1.0]]
 TS, LAG_S, MIDDLE, COMMAND = 1e-3, 2e-3, 0.4, -3.0
 FAMILIES = ("gravity.", "backlash.", "cogging.", "magnetic_force.", "actuator.")
 KEYS = (
+    "damping.drift",
+    "stiffness.drift",
+    "inertia.drift",
+    "damping.warming",
+    "friction.warming",
+    "flexible_mode.load",
     "damping.asymmetric",
     "damping.falling",
     "damping.eddy_current",
@@ -228,7 +234,8 @@ def load(q, v, F, m, frequency, damping, half, slowing):
         return state[1], -contact(t, *state) - slowing * state[1]
 
     times = np.arange(len(q)) * TS
-    run = solve_ivp(motion, (0.0, times[-1]), (q[0], v[0]), t_eval=times, max_step=TS / 4)
+    begin = (q[0] - slowing * v[0] / w**2, v[0]) if half == 0.0 else (q[0], v[0])
+    run = solve_ivp(motion, (0.0, times[-1]), begin, t_eval=times, max_step=TS / 4)
     return m * contact(times, *run.y)
 
 
@@ -292,7 +299,25 @@ def times_speed(q, v, F, a):
     return a * F * (v[later] + v[last]) / 2
 
 
+def load_on_shaft(q, v, F, m, frequency, damping, slowing):
+    return load(q, v, F, m, frequency, damping, 0.0, slowing)
+
+
+def warming(q, v, F, friction, cold, v_s, tau):
+    def law(t):
+        speed = CubicHermiteSpline(moving().time_s, moving().qd[:, 0], moving().qdd[:, 0])(t)
+        return (friction + cold * np.exp(-t / tau)) * np.tanh(speed / v_s)
+
+    return -around_rows(law, lambda t: t)
+
+
 LAWS: dict[str, Law] = {
+    "damping.drift": lambda q, v, F, rate: -rate * moving().time_s * v,
+    "stiffness.drift": lambda q, v, F, rate: -rate * moving().time_s * q,
+    "inertia.drift": lambda q, v, F, rate: -rate * moving().time_s * moving().qdd[:, 0],
+    "damping.warming": lambda q, v, F, cold, tau: -cold * np.exp(-moving().time_s / tau) * v,
+    "friction.warming": warming,
+    "flexible_mode.load": load_on_shaft,
     "damping.eddy_current": lambda q, v, F, d, v_0: (
         -d * around_rows(lambda v: v / (1.0 + (v / v_0) ** 2))
     ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,7 @@ TS, ROWS = 1e-3, 4000
 NUMBERS = {
     "reading.quadratic": ((-0.7,), ()),
     "reading.cubic": ((1.3,), ()),
+    "reading.rational": ((-0.7,), (1.2,)),
     "reading.lag": ((0.02,), ()),
     "reading.delay": ((0.004,), (0.004,)),
     "reading.crosstalk": ((0.1,), ()),
@@ -68,10 +70,32 @@ def test_reading_of_a_motion_is_the_inverse_of_the_position_of_a_reading(key: st
 
 
 @pytest.mark.parametrize(
+    ("bend", "far", "reading"),
+    [
+        # r = h + b h^2 has a = -b and c = 2 b up to the fourth power.
+        (0.4, 0.8, lambda h: h + 0.4 * h * h),
+        (-0.4, -0.8, lambda h: h - 0.4 * h * h),
+        # r = h / (1 + h / d), a sensor of a gap, exactly.
+        (-1.0, -1.0, lambda h: h / (1.0 + h)),
+    ],
+)
+def test_a_rational_reading_is_a_quadratic_of_the_position_or_1_over_a_gap(
+    bend: float, far: float, reading: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    true = motion(around_rows=True)
+    measured = replace(true, q=reading(true.q))
+    placed = Placed(table()["reading.rational"], (far,), (-bend,))
+    left = measured.q - placed.term(measured).gap - true.q
+    bent = measured.q - true.q
+    assert np.abs(left[:, 0]).max() < 0.02 * np.abs(bent[:, 0]).max()
+
+
+@pytest.mark.parametrize(
     ("key", "unit"),
     [
         ("reading.quadratic", "1/m"),
         ("reading.cubic", "1/m^2"),
+        ("reading.rational", "1/m"),
         ("reading.lag", "s"),
         ("reading.crosstalk", "m/rad"),
     ],

@@ -85,6 +85,25 @@ class Load:
         return self._mass * pull
 
 
+class InTime:
+    """A force that depends on the time."""
+
+    def __init__(self, force: Callable[[float, float, float, float], float]) -> None:
+        self._force, self._time_s = force, 0.0
+
+    def __call__(self, q: float, v: float, u: float) -> float:
+        # Called twice a step, at its begin and its middle.
+        found = self._force(self._time_s, q, v, u)
+        self._time_s += 0.5 * TS / STEPS
+        return found
+
+
+def growing(t: float, q: float, v: float, u: float) -> float:
+    """Return the force of a mass that grows by 0.004 a second."""
+    more = 0.004 * t
+    return -more * (u - DAMPER * v - SPRING * q) / (INERTIA + more)
+
+
 class Chain:
     """A lag with a law before and one behind it."""
 
@@ -172,6 +191,17 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
         ),
     ),
     "backlash.play": ((2.0,), (0.1,), lambda: Play(2.0, 0.1)),
+    "damping.drift": ((0.01,), (), lambda: InTime(lambda t, q, v, u: -0.01 * t * v)),
+    "stiffness.drift": ((0.2,), (), lambda: InTime(lambda t, q, v, u: -0.2 * t * q)),
+    "inertia.drift": ((0.004,), (), lambda: InTime(growing)),
+    "damping.warming": (
+        (0.05,), (4.0,), lambda: InTime(lambda t, q, v, u: -0.05 * np.exp(-t / 4.0) * v),
+    ),
+    "friction.warming": (
+        (0.2, 0.3), (0.5, 4.0),
+        lambda: InTime(lambda t, q, v, u: -(0.2 + 0.3 * np.exp(-t / 4.0)) * np.tanh(v / 0.5)),
+    ),
+    "flexible_mode.load": ((0.002,), (15.0, 0.1, 3.0), lambda: Load(0.002, 15.0, 0.1, 0.0, 3.0)),
     "backlash.load": ((0.002,), (15.0, 0.4, 0.01, 3.0), lambda: Load(0.002, 15.0, 0.4, 0.01, 3.0)),
     "cogging.position": (
         (0.3, 0.2), (0.4,),

@@ -117,7 +117,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     effect_class,
                     (dof,),
                     "force = -P tanh((q - q0) / width)",
-                    (Quantity("P", force, 0.0),),
+                    (Quantity("P", force),),
                     partial(_leveling, dof=i),
                     (
                         Quantity("q0", unit, middle - reach, middle + reach),

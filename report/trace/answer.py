@@ -70,7 +70,7 @@ def answer(clauses: Sequence[Clause], rest: str) -> str:
     sentences = []
     named = [c.text for c in clauses if not (c.others or c.doubtful or c.free)]
     if named:
-        sentences.append(_sentence(listed(named)))
+        sentences.append(_sentence(listed(list(dict.fromkeys(named)))))
     for clause in clauses:
         if clause.others:
             first = "perhaps" if clause.doubtful else "either"
@@ -132,17 +132,15 @@ def _described(result: ForceOutcome) -> list[str]:
     """Return a clause on what a free form describes and no law does, if it matters."""
     if result.lacks or not result.form_matters:
         return []
+    several = len(result.dof) > 1
     left = [
-        f"{form:.3g} %" + (f" at {symbol(name)}" if len(result.dof) > 1 else "")
-        for name, form, after in zip(
-            result.dof, result.free_form, result.after.force_percent, strict=True
-        )
-        if form < after
+        f"{fitted:.3g} %" + (f" at {symbol(name)}" if several else "") + f", and {form:.3g} %"
+        for name, fitted, form in result.with_form
     ]
     what = "something else" if result.laws else "something"
     clause = (
-        f"the model lacks {what}: a free form of all signals leaves {', '.join(left)} in the "
-        "fitted rows"
+        f"the model lacks {what}: in the fitted rows it leaves {'; '.join(left)} beside a free "
+        "form of all signals"
     )
     return [clause] if left else []
 
@@ -160,6 +158,14 @@ def _beyond_noise(result: ForceOutcome) -> list[str]:
     return [f"the model lacks {what}: the noise of the outputs explains {' and '.join(noise)} only"]
 
 
+def _at_turns(result: ForceOutcome) -> list[str]:
+    """Return a clause on DOF of which all that is left is where they turn."""
+    if not result.at_turns:
+        return []
+    names = listed([symbol(name) for name in result.at_turns])
+    return [f"what is left at {names} is where it turns: there friction may hold it for a moment"]
+
+
 def _rest_of_imported(result: ForceOutcome) -> str:
     """Return a sentence on the missing force, before and after."""
     less, more, same = list[str](), list[str](), list[str]()
@@ -172,7 +178,7 @@ def _rest_of_imported(result: ForceOutcome) -> str:
         else:
             changed = more if after > before else less
             changed.append(f"from {before:.3g} to {after:.3g} %{at}")
-    clauses = (*result.lacks, *_described(result), *_beyond_noise(result))
+    clauses = (*result.lacks, *_described(result), *_beyond_noise(result), *_at_turns(result))
     lacks = "".join(f" {_sentence(clause)}" for clause in clauses)
     if result.laws:
         whole = [np.linalg.norm(e.force_percent) for e in (result.before, result.after)]

@@ -24,15 +24,46 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class FittedRows:
+    """What is missing in the fitted rows over the force of the inputs, by DOF (n,).
+
+    missing: of the model. form: of a free form of all signals, nan where all terms of an equation
+    are free. noise: what of it the noise of the outputs gives.
+    """
+
+    missing: Array
+    form: Array
+    noise: Array
+
+    @classmethod
+    def of(cls, point: ForceModel, training: Training, own: Sequence[Array]) -> FittedRows:
+        """Return what a model with columns `own` (C, rows, n), without weights, leaves of each
+        training record."""
+        records = training.records
+        force = _rms([r.acting_force(point) for r in records])
+        missing = _rms([r.varying(r.missing_force(point)) for r in records])
+        left = _rms(residual_of_richest(point, records, own, unlisted=True))
+        noise = _pooled([r.noise_force(point) for r in records], records)
+        form = np.where(training.all_free, np.nan, left)
+        return cls(missing / force, form / force, noise / force)
+
+    @property
+    def any_law(self) -> Array:
+        """What any law leaves (n,): no less than a free form, nor than the noise."""
+        return np.maximum(self.form, self.noise)
+
+
+@dataclass(frozen=True)
 class Certainty:
-    """How sure what was found is: fields of ForceTrace, and the share that a free form leaves."""
+    """How sure what was found is: fields of ForceTrace."""
 
     found: Searched
     errors: Array
     correlations: Array
     force_errors: list[Array]
     unseen: Array
-    form: Array
+    rows: FittedRows
+    between: FittedRows | None
     left_share: tuple[float, ...]
     leaning: tuple[float, ...]
 
@@ -66,9 +97,11 @@ class Certainty:
             moved += [numbers(other) - numbers(point) for other in unbiased.others]
         uncertainty = Uncertainty.of(point, training, moved, instruments)
         whole = Beside.of(found.point, training)
-        left = residual_of_richest(found.point, fitted, whole.plain.own, unlisted=True)
+        rows = FittedRows.of(found.point, training, whole.plain.own)
+        between = [
+            FittedRows.of(found.point, p, Beside.of(found.point, p).plain.own) for p in parts
+        ]
         force = _rms([r.acting_force(found.point) for r in fitted])
-        form = np.where(training.all_free, np.nan, _rms(left)) / force
         quiet = _rms(
             [
                 r.varying(r.missing_force(found.point))
@@ -78,7 +111,7 @@ class Certainty:
         )
         # Where all terms of an equation are free there is no form: all but the readings' noise
         # counts.
-        least = np.where(np.isfinite(form), form, quiet / force)
+        least = np.where(np.isfinite(rows.form), rows.form, quiet / force)
         force_errors = relative_force_errors(point, fitted, uncertainty)
         left_share = _left_share(found, training, least, options)
         return cls(
@@ -87,7 +120,8 @@ class Certainty:
             correlation(uncertainty.covariance),
             force_errors,
             foretold(found.point, fitted, whole.plain.own, options.fewest_blocks) / force,
-            form,
+            rows,
+            between[0] if between else None,
             left_share,
             _leaning(found, training, least, options, left_share, force_errors),
         )
@@ -246,3 +280,9 @@ def _leaning(
 
 def _rms(values: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(np.mean(np.concatenate(list(values)) ** 2, axis=0)))
+
+
+def _pooled(rms: Sequence[Array], records: Sequence[ForceRecord]) -> Array:
+    """Return the RMS over all rows (n,) of those of each record."""
+    rows = np.array([r.rows for r in records])
+    return np.asarray(np.sqrt(rows @ np.square(rms) / rows.sum()))

@@ -191,6 +191,13 @@ class ForceRecord:
         density = 2.0 * self.band.Ts_s * np.abs(s**2 * M + s * D + K) ** 2 @ self.noise_sd**2
         return freq_hz, density * self.band.low_pass[:, None] ** 2
 
+    def noise_force(self, point: ForceModel) -> Array:
+        """Return the RMS (n,) of the missing force that the noise of the outputs gives, over all
+        rows: where a DOF rests there is none."""
+        freq_hz, density = self.noise_density(point)
+        squares = np.trapezoid(density, freq_hz, axis=0) * self.moves.mean(axis=0)
+        return np.asarray(np.sqrt(squares))
+
     def _matrices_of(self, placed: Placed) -> Array:
         """Return what an effect adds to K, D and M (3, n, n): zero if it is not linear."""
         n = self.signals.q.shape[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,12 +45,14 @@ class ForceOutcome:
     """The result of a trace of imported records in numbers.
 
     before, after: errors on the reported rows. metric: what measures them; `before_rms`,
-    `after_rms` in its unit. free_form (n,): what a free form of all signals leaves of the force
-    in the fitted rows, in per cent, nan without one. lacking: by DOF, the share of the squared
-    missing force that a function of the motion foretells, where it matters. beyond_noise: by DOF,
-    the share of the squared missing force that the noise of the outputs does not explain, where it
+    `after_rms` in its unit. fitted, free_form (n,): what the model and a free form of all signals
+    leave of the force in the fitted rows, in per cent, nan without one. lacking: by DOF, the share
+    of the squared missing force that a function of the motion foretells, where it matters.
+    beyond_noise: by DOF, the share of it that the noise of the outputs does not explain, where it
     matters. form_matters: whether a free form of all signals would take what matters at any DOF,
-    beyond that noise: a form of noisy signals takes a part of their noise.
+    beyond that noise: a form of noisy signals takes a part of their noise. at_turns: DOF with
+    friction at which all that matters is where they turn, and nowhere else; these are not among
+    the others.
     nearest: what takes much of what is left, and was refused, as a clause; empty if nothing does.
     """
 
@@ -61,10 +63,12 @@ class ForceOutcome:
     before_rms: float
     after_rms: float
     floor: float | None
+    fitted: Array
     free_form: Array
     lacking: Mapping[str, float]
     beyond_noise: Mapping[str, float]
     form_matters: bool
+    at_turns: tuple[str, ...]
     dof: tuple[str, ...]
     nearest: str
 
@@ -102,12 +106,23 @@ class ForceOutcome:
     @property
     def rest(self) -> str:
         """What the model leaves of the force, in a clause."""
-        forms = self.free_form if self.form_matters else np.full(len(self.dof), np.nan)
         left = [
-            f"{after:.3g} % of the force at {name}" + _beside(form, after)
-            for name, after, form in zip(self.dof, self.after.force_percent, forms, strict=True)
+            f"{after:.3g} % of the force at {name}"
+            for name, after in zip(self.dof, self.after.force_percent, strict=True)
         ]
-        return "; ".join([f"the model leaves {', '.join(left)}", *self.lacks])
+        forms = [
+            f"in the fitted rows {fitted:.3g} % at {name}, a free form of all signals {form:.3g} %"
+            for name, fitted, form in self.with_form
+        ]
+        return "; ".join([f"the model leaves {', '.join(left)}", *forms, *self.lacks])
+
+    @property
+    def with_form(self) -> list[tuple[str, float, float]]:
+        """Where a free form takes what matters: DOF, what the model and the form leave, in per
+        cent of the force in the fitted rows."""
+        every = zip(self.dof, self.fitted, self.free_form, strict=True)
+        there = self.form_matters
+        return [(n, a, b) for n, a, b in every if there and b < a and n not in self.at_turns]
 
     @property
     def lacks(self) -> list[str]:
@@ -117,11 +132,6 @@ class ForceOutcome:
             f"missing force at {name}"
             for name, share in self.lacking.items()
         ]
-
-
-def _beside(form: float, after: float) -> str:
-    known = f" (a free form of all signals leaves {form:.3g} % of the fitted rows)"
-    return known if form < after else ""
 
 
 def force_outcome(trace: ForceTrace) -> ForceOutcome:
@@ -136,6 +146,9 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
     else:
         sizes = [float(np.sqrt(np.mean(e.force_percent**2))) for e in (before, after)]
     floor = sizes[2] if free_run and trace.noise_stated else None
+    by_form = _worth(trace, PERCENT * trace.rows.missing, PERCENT * trace.rows.any_law)
+    beyond = _worth(trace, after.force_percent, after.noise_percent)
+    turning = _only_at_turns(trace, {*by_form, *beyond})
     return ForceOutcome(
         _laws(trace),
         "free_run" if free_run else "force",
@@ -144,10 +157,12 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         sizes[0],
         sizes[1],
         floor,
-        trace.free_form,
+        PERCENT * trace.rows.missing,
+        PERCENT * trace.rows.form,
         _lacking(trace),
-        _worth(trace, after.force_percent, after.noise_percent),
-        bool(_worth(trace, after.force_percent, _any_law(trace, after))),
+        {name: share for name, share in beyond.items() if name not in turning},
+        any(name not in turning for name in by_form),
+        turning,
         trace.places.dof,
         _nearest(trace),
     )
@@ -176,10 +191,17 @@ def _worth(trace: ForceTrace, left: Array, form: Array) -> dict[str, float]:
     return found
 
 
-def _any_law(trace: ForceTrace, after: PooledError) -> Array:
-    """Return what any law leaves of the force (n,) in per cent: as much as a free form of all
-    signals, and no less than the noise of the outputs."""
-    return np.maximum(trace.free_form, np.nan_to_num(after.noise_percent))
+def _only_at_turns(trace: ForceTrace, some: Container[str]) -> tuple[str, ...]:
+    """Return those of some DOF of which noise explains all that is missing between their turns.
+
+    Where friction holds a DOF for a moment, its force is what acts on it, which no law tells.
+    """
+    if trace.between is None:
+        return ()
+    missing, noise = PERCENT * trace.between.missing, PERCENT * trace.between.noise
+    left = _worth(trace, missing, noise)
+    rubbed = {w for r in trace.found.rated for w in r.placed.effect.where}
+    return tuple(n for n in trace.places.dof if n in some and n in rubbed and n not in left)
 
 
 def _nearest(trace: ForceTrace) -> str:
@@ -192,7 +214,8 @@ def _nearest(trace: ForceTrace) -> str:
         if r.gain.statistic > options.standard_errors and r.share > options.least_free_gain:
             why = "is not confirmed by the fit of the whole model"
             if not r.gain.elsewhere:
-                why = "is contradicted by a record"
+                one = len(trace.fitted) == 1
+                why = f"is contradicted by {'a half of the' if one else 'a'} record"
             elif r.force <= options.least_force:
                 why = "leave the missing force as large as it is"
                 if r.force > 0.0:
@@ -239,6 +262,7 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
                         "force_percent": {
                             "before": found.before.force_percent[i],
                             "after": found.after.force_percent[i],
+                            "fitted": found.fitted[i],
                             "free_form": found.free_form[i],
                             "noise": found.after.noise_percent[i],
                         },
@@ -262,6 +286,7 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
                 "doubtful": found.doubtful,
                 "lacking": found.lacking,
                 "beyond_noise": found.beyond_noise,
+                "at_turns": list(found.at_turns),
                 "lacks_something": found.lacks_something,
                 "nearest": [
                     {
@@ -403,7 +428,7 @@ def _confirmed_by_force(trace: ForceTrace, before: PooledError, after: PooledErr
     the noise of the outputs too, something moves that no signal shows, and none is confirmed.
     """
     room, squares = 1.0 - trace.options.least_free_gain, after.force_percent**2
-    as_any = bool(np.all(room * squares <= _any_law(trace, after) ** 2))
+    as_any = bool(np.all(room * squares <= (PERCENT * trace.rows.any_law) ** 2))
     beyond = _worth(trace, after.force_percent, after.noise_percent)
     little = trace.options.least_gain**2 * np.sum(before.force_percent**2)
     return bool((as_any and not beyond) or squares.sum() <= little)

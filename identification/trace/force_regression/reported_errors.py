@@ -111,15 +111,9 @@ def reported_error(
         e.y.std(axis=0),
         missing.std(axis=0),
         acting.std(axis=0),
-        _force_noise(point, seen),
+        seen.noise_force(point),
         settled,
     )
-
-
-def _force_noise(point: ForceModel, seen: ForceRecord) -> Array:
-    """Return the RMS (n,) of the missing force that the noise of the outputs gives."""
-    freq_hz, density = seen.noise_density(point)
-    return np.asarray(np.sqrt(np.trapezoid(density, freq_hz, axis=0)))
 
 
 def _runs_free(point: ForceModel, experiment: Experiment) -> bool:

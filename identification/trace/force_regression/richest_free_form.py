@@ -38,12 +38,14 @@ def residual_of_richest(
 
     The form has polynomials in each position, speed and command, friction that turns at two speeds,
     and products of two signals, in each equation. It has neither the command nor the acceleration
-    by itself, nor friction that grows with the command: with both free, every equation is true. It
-    is fitted to all records, without weights. unlisted: with friction that changes along the way,
-    which the table of effects lacks.
+    by itself, nor friction that grows with the command: with both free, every equation is true. So
+    the force of the inputs is taken out where a law of the command and the form give it together.
+    It is fitted to all records, without weights. unlisted: with friction that changes along the
+    way, which the table of effects lacks.
     """
     whole = [_columns(r, point, unlisted) for r in records]
     missing = [r.varying(r.missing_force(point)) for r in records]
+    inputs = [r.varying(r.input_force(point.model)) for r in records]
     left = [np.zeros_like(m) for m in missing]
     # Two rows per period of the limit are independent.
     independent = sum(2.0 * r.rows * r.band.row_s * r.band.cutoff_hz for r in records)
@@ -58,6 +60,7 @@ def residual_of_richest(
         A = A / np.maximum(np.linalg.norm(A, axis=0), TINY)
         U, size, _ = np.linalg.svd(A, full_matrices=False)
         U = U[:, size > ROUNDING * size[0]]
+        U = _without(U, np.concatenate([f[:, i] for f in inputs]))
         # Short records determine only some combinations: those that explain most.
         most = max(int(independent / _ROWS_PER_NUMBER), 1)
         U = U[:, np.argsort(-np.abs(U.T @ b)[:, 0])[:most]]
@@ -68,6 +71,15 @@ def residual_of_richest(
             part[:, i] = rest[at : at + len(part)]
             at += len(part)
     return left
+
+
+def _without(U: Array, force: Array) -> Array:
+    """Return an orthonormal basis (rows, k) of columns without a force (rows,) that they give."""
+    along = U.T @ force
+    whole, given = float(force @ force), float(along @ along)
+    if whole == 0.0 or whole - given > SearchOptions().inexact * whole:
+        return U
+    return np.asarray(U @ np.linalg.qr(along[:, None], mode="complete")[0][:, 1:])
 
 
 def _varying(values: Array, moves: Array) -> Array:

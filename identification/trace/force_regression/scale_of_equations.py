@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...rounding import ROUNDING
+from ...rounding import ROUNDING, TINY
 from .force_record import ForceModel
 from .training_records import Evaluated, Training
 
@@ -48,21 +48,24 @@ def _parameter_to_hold(
 ) -> int | None:
     """Return the number of the parameter to hold for the scale of an equation, None if it is told.
 
-    changes: of the groups by each parameter, each record (F, 3, rows, n).
+    changes: of the groups by each parameter, each record (F, 3, rows, n). Each equation counts
+    relative to its own forces, as that is what its error is relative to.
     """
     free = at.point.parameters
     if not free.names:
         return None
-    J = np.concatenate([c.reshape(len(c), -1) for c in changes], axis=1).T
-    of_each = np.eye(len(at.power))
+    force = np.sqrt(np.sum([np.sum(g * g, axis=(0, 1)) for g in at.groups], axis=0))
+    size = np.maximum(force, TINY)
+    J = np.concatenate([(c / size).reshape(len(c), -1) for c in changes], axis=1).T
+    of_each = np.eye(len(at.power)) / size
     whole = [np.concatenate([(g * one).reshape(-1) for g in at.groups]) for one in of_each]
     target = whole.pop(equation)
     # The other equations may keep their forces, or scale as well.
     columns = np.column_stack([J, *whole])
-    size = np.linalg.norm(columns, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    way = np.linalg.lstsq(columns / size, target, rcond=ROUNDING)[0]
-    left = target - columns / size @ way
+    length = np.linalg.norm(columns, axis=0)
+    length = np.where(length > 0.0, length, 1.0)
+    way = np.linalg.lstsq(columns / length, target, rcond=ROUNDING)[0]
+    left = target - columns / length @ way
     if left @ left > told * float(target @ target):
         return None
     share = np.abs(way[: J.shape[1]])

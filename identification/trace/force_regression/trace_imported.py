@@ -36,7 +36,7 @@ from ..records.record_from_log import TraceRecord
 from ..records.searched_effects import SearchedEffects, searched_effects
 from ..search_options import SearchOptions
 from .candidate_fit import Beside, lacked
-from .certainty_of_effects import Certainty, without_effect
+from .certainty_of_effects import Certainty, FittedRows, without_effect
 from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
 from .free_numbers import at_limits
@@ -67,9 +67,10 @@ class ForceTrace:
     declared: the refitted model without new effects; found: the search's result; errors: standard
     errors of its numbers, correlations (K, K) theirs; force_errors: relative ones of the forces of
     each effect's amplitudes, in the point's order. before, after: errors on the reported rows.
-    free_form (n,): what a free form of all signals leaves of the acting force in the fitted rows,
-    in per cent, nan where all terms of an equation are free. unseen (2, n): what linear terms and
-    what a form of the motion leave of blocks that did not fit them. left_share: for each effect
+    rows: what is missing in the fitted rows, with a free form too, and what of it is noise;
+    between: the same without the turns of DOF with friction, None without any. unseen (2, n): what
+    linear terms and a form of the motion leave of blocks that did not fit them.
+    left_share: for each effect
     found, the share of the squared missing force without it that is left with it, of what such a
     form explains; leaning: the same without the effects in doubt. curves: free forms of a law's
     signal that surely improve on it, by the law's identity. noise_sd (n,): of each output;
@@ -86,7 +87,8 @@ class ForceTrace:
     force_errors: Sequence[Array]
     before: tuple[ReportedError, ...]
     after: tuple[ReportedError, ...]
-    free_form: Array
+    rows: FittedRows
+    between: FittedRows | None
     unseen: Array
     left_share: tuple[float, ...]
     leaning: tuple[float, ...]
@@ -207,9 +209,9 @@ def _traced(
     )
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
-        config, places, declared, found, last.errors, last.correlations, last.force_errors, before,
-        after, PERCENT * last.form, PERCENT * last.unseen, last.left_share, last.leaning, curves,
-        sd, stated, limit_hz, fitted, reported,
+        config, places, declared, found, last.errors, last.correlations, last.force_errors,
+        before, after, last.rows, last.between, PERCENT * last.unseen, last.left_share,
+        last.leaning, curves, sd, stated, limit_hz, fitted, reported,
         (*notes, *held, *table.notes, *_at_limits(found.point), *_held(found.point)), options,
     )  # fmt: skip
 
@@ -244,9 +246,10 @@ def _lacking(
 
 def _at_limits(point: ForceModel) -> tuple[str, ...]:
     """Return a note for each free parameter that the fit left at a limit of its range."""
+    other = "a law that was found has taken its part, or " if point.placed else ""
     return tuple(
         f"{name} is at the {word} limit of its range in the model file, {limit:.4g}: widen the "
-        "range if it may be beyond; if not, the model lacks something"
+        f"range if it may be beyond; if not, {other}the model lacks something"
         for name, word, limit in at_limits(point)
     )
 

@@ -246,7 +246,9 @@ def test_oscillator_is_exact_for_a_lagged_command(tau: float):
     np.testing.assert_allclose(found / size, exact / size, atol=1e-6)
 
 
-@pytest.mark.parametrize(("frequency_hz", "damping"), [(23.0, 0.05), (60.0, 0.04), (5.0, 0.3)])
+@pytest.mark.parametrize(
+    ("frequency_hz", "damping"), [(23.0, 0.05), (60.0, 0.04), (5.0, 0.3), (5.0, 1.0), (9.0, 1.7)]
+)
 def test_oscillator_driven_by_a_smooth_force(frequency_hz: float, damping: float) -> None:
     """At a 28th of the sampling rate its error is below 10^-5, at the ends too."""
     Ts_s = 2e-3

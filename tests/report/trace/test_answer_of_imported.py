@@ -35,6 +35,7 @@ def test_the_missing_force_of_each_dof_falls_stays_or_rises(
         laws=("a law",),
         lacks=(),
         form_matters=False,
+        at_turns=(),
         beyond_noise={},
     )
     assert _rest_of_imported(result) == f"The missing force {said}"  # type: ignore[arg-type]
@@ -48,6 +49,7 @@ def test_what_is_more_than_noise_is_said_where_no_form_describes_it() -> None:
         laws=("a law",),
         lacks=(),
         form_matters=False,
+        at_turns=(),
         beyond_noise={"a": 1.0},
     )
     assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
@@ -60,11 +62,13 @@ def test_what_a_free_form_describes_and_no_law_does_is_said() -> None:
         dof=("a",),
         before=SimpleNamespace(force_percent=(87.4,)),
         after=SimpleNamespace(force_percent=(87.4,)),
-        free_form=(3.21,),
+        with_form=[("a", 85.0, 3.21)],
         laws=(),
         lacks=(),
         form_matters=True,
+        at_turns=(),
     )
     assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
-        "The model lacks something: a free form of all signals leaves 3.21 % in the fitted rows."
+        "The model lacks something: in the fitted rows it leaves 85 %, and 3.21 % beside a free "
+        "form of all signals."
     )

@@ -14,6 +14,7 @@ from levid.config.model import EffectParameter, ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.trace.force_regression import certainty_of_effects, force_trace_summary
+from levid.identification.trace.force_regression.certainty_of_effects import FittedRows
 from levid.identification.trace.force_regression.force_record import ForceModel
 from levid.identification.trace.force_regression.found_law import FoundLaw
 from levid.identification.trace.force_regression.rated_candidate import Rated
@@ -161,7 +162,7 @@ def left_with(left: list[float], form: list[float]) -> Any:
         options=SearchOptions(),
         places=places,
         unseen=np.array([left, form]),
-        free_form=np.array(form),
+        rows=FittedRows(*np.array([left, form, [0.0] * len(form)]) / 100.0),
     )
 
 
@@ -187,11 +188,27 @@ def test_force_confirms_what_leaves_no_more_than_a_free_form_and_noise(
     assert force_trace_summary._confirmed_by_force(trace, before, after) == confirmed
 
 
+def test_a_free_form_that_takes_noise_tells_nothing() -> None:
+    rows = FittedRows(*np.array([[3.5, 5.0], [1.9, 2.0], [3.9, 1.0]]))
+    np.testing.assert_array_equal(rows.any_law, [3.9, 2.0])
+
+
 def test_a_dof_lacks_what_a_free_form_takes_if_it_matters() -> None:
     lacking = force_trace_summary._lacking
     # Of 8.5 % a half; of 0.5 % as well, but that is less than equations are right to.
     assert lacking(left_with([8.5, 0.5], [6.0, 0.35])) == {"x": pytest.approx(0.502, abs=1e-3)}
     assert lacking(left_with([8.5, 8.5], [8.0, np.nan])) == {}
+
+
+def test_what_matters_at_turns_only_is_told_from_what_matters_everywhere() -> None:
+    trace = left_with([5.0, 5.0], [2.0, 2.0])
+    rubbing = SimpleNamespace(placed=SimpleNamespace(effect=SimpleNamespace(where=("x",))))
+    trace.found = SimpleNamespace(rated=(rubbing,))
+    quiet = FittedRows(*np.array([[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]]) / 100.0)
+    for between, expected in ((None, ()), (quiet, ("x",)), (trace.rows, ())):
+        trace.between = between
+        # There is no friction at y.
+        assert force_trace_summary._only_at_turns(trace, {"x", "y"}) == expected
 
 
 def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -> None:

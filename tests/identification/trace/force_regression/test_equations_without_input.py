@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +14,11 @@ from levid.benchmarks.trace.imported_plant_simulation import Acting, Kind, Linea
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.trace.force_regression import scale_of_equations
 from levid.identification.trace.force_regression.force_trace_summary import force_summary
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Effect, Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
@@ -78,6 +82,41 @@ def test_noise_does_not_make_the_numbers_of_such_an_equation_small(seed: int):
     for name, true in (("mt", MT), ("ml", ML), ("j", J), ("d", D), ("c", C)):
         assert abs(values[name] - true) < 3.0 * errors[name], name
     assert values["ml"] == pytest.approx(ML, rel=0.1)
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.05, True), (0.002, False)])
+@pytest.mark.parametrize("weight", [1.0, 1000.0])
+def test_an_equation_tells_the_scale_of_another_one_by_a_few_per_cent_of_its_own_force(
+    share: float, is_told: bool, weight: float
+) -> None:
+    """Numbers m of the cart, ml of both and j of the arm; errors of the arm count `weight` times
+    as much, as those of a cart do that dry friction holds."""
+    rng = np.random.default_rng(0)
+    cart, arm, turn = rng.standard_normal((3, 500))
+    none, command = np.zeros(500), cart + share * turn
+    of_arm = weight * (turn + arm)
+
+    def groups(inputs: np.ndarray, inertia_x: np.ndarray, inertia_arm: np.ndarray) -> np.ndarray:
+        rows = [np.stack([inputs, none], axis=1), np.stack([inertia_x, inertia_arm], axis=1)]
+        return np.stack([*rows, np.zeros((500, 2))])
+
+    at: Any = SimpleNamespace(
+        groups=[groups(command, cart + share * turn, of_arm)],
+        power=np.ones(2),
+        point=SimpleNamespace(
+            parameters=SimpleNamespace(names=("m", "ml", "j"), prior_sd=np.full(3, np.inf))
+        ),
+    )
+    changes = np.stack(
+        [
+            groups(none, cart, none),
+            groups(none, share * turn, weight * arm),
+            groups(none, none, weight * turn),
+        ]
+    )
+    least = SearchOptions().told_from_model
+    held = scale_of_equations._parameter_to_hold(at, [changes], 1, least)
+    assert (held is None) == is_told
 
 
 def test_effect_in_such_an_equation_is_found():

@@ -156,14 +156,15 @@ def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Picture, Tabl
             (
                 symbol(name),
                 *(f"{error.force_percent[i]:.3g} %" for error in (result.before, result.after)),
-                _percent(result.free_form[i]),
                 _percent(result.after.noise_percent[i]),
+                _percent(result.fitted[i]),
+                _percent(result.free_form[i]),
                 *(_percent(error.percent[i]) for error in (result.before, result.after)),
             )
         )
     head = (
-        "DOF", "force, before", "force, after", "free form", "noise", "free run, before",
-        "free run, after",
+        "DOF", "force, before", "force, after", "noise", "fitted rows", "free form",
+        "free run, before", "free run, after",
     )  # fmt: skip
     return (
         Picture(
@@ -176,8 +177,8 @@ def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Picture, Tabl
         ),
         Table(
             "Errors of all reported rows: missing force over the inputs' force, and free-run error "
-            "over the output. Free form: share that a general function of all signals leaves in "
-            "the fitted rows. Noise: missing force that noise of the outputs gives",
+            "over the output. Noise: missing force that noise of the outputs gives. Fitted rows, "
+            "free form: share that the model and a general function of all signals leave there",
             head,
             tuple(rows),
         ),

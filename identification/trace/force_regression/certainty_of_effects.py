@@ -109,9 +109,7 @@ class Certainty:
                 for r, own in zip(others[-1].records, fitted, strict=True)
             ]
         )
-        # Where all terms of an equation are free there is no form: all but the readings' noise
-        # counts.
-        least = np.where(np.isfinite(rows.form), rows.form, quiet / force)
+        least = quiet / force
         force_errors = relative_force_errors(point, fitted, uncertainty)
         left_share = _left_share(found, training, least, options)
         return cls(
@@ -214,8 +212,9 @@ def _left_share(
     """Return for each effect the share of the squared missing force without it, the others fitted
     again, that is left with it, at the DOF where it takes most.
 
-    least (n,): what a free form leaves, or the noise, over the acting force; only what is beyond it
-    counts, and only if an effect must take as much.
+    least (n,): what the noise of the outputs gives, over the acting force; only what is beyond it
+    counts, and only if an effect must take as much. A free form that leaves more tells nothing: it
+    may lack what the table lacks.
     """
     plain = training.plain()
 

@@ -22,8 +22,8 @@ class FoundLaw:
     support: share of bootstrap samples of the blocks in which an effect of this class at this place
     gains most. `alternatives` are of other classes or places, each with its support: these records
     do not tell them apart. laws: other laws of the same class and place, not told apart either.
-    left_share: share of the squared missing force without it that is left with it, of what a free
-    form explains; leaning: the same without the effects in doubt. least_gain: share that an effect
+    left_share: share of the squared missing force without it that is left with it, beyond the noise
+    of the outputs; leaning: the same without the effects in doubt. least_gain: share that an effect
     must take. curve: free form of its signal that surely improves on it, None without one. grew:
     whether the model with all effects misses more force in the rows that neither fitted nor chose,
     and whether its free run is farther from them. floors: error of the free run over what the

@@ -10,7 +10,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ....model.effects.base import Signals
-from ...rounding import ROUNDING, TINY
+from ...rounding import ROUNDING, TINY, basis_of
 from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
 
@@ -43,24 +43,28 @@ def residual_of_richest(
     It is fitted to all records, without weights. unlisted: with friction that changes along the
     way, which the table of effects lacks.
     """
-    whole = [_columns(r, point, unlisted) for r in records]
+    forms = [_smoothed(r, _forms(r.signals, unlisted)) for r in records]
+    held = [_of_commands(r, point) for r in records]
+    laws = [_laws_of_commands(r, point) for r in records]
     missing = [r.varying(r.missing_force(point)) for r in records]
     inputs = [r.varying(r.input_force(point.model)) for r in records]
     left = [np.zeros_like(m) for m in missing]
     # Two rows per period of the limit are independent.
     independent = sum(2.0 * r.rows * r.band.row_s * r.band.cutoff_hz for r in records)
     for i in range(missing[0].shape[1]):
-        A = np.vstack(
-            [
-                _varying(np.hstack([w, c[:, :, i].T]), r.moves[:, i : i + 1])
-                for r, w, c in zip(records, whole, own, strict=True)
-            ]
+        moves = [r.moves[:, i : i + 1] for r in records]
+
+        def column(parts: Sequence[Array], moves: Sequence[Array] = moves) -> Array:
+            return np.vstack([_varying(x, m) for x, m in zip(parts, moves, strict=True)])
+
+        commanded = _without_input(
+            column(held), column([x[:, :, i].T for x in laws]), column([f[:, [i]] for f in inputs])
         )
+        A = np.hstack([column(forms), commanded, column([c[:, :, i].T for c in own])])
         b = np.concatenate([m[:, i : i + 1] for m in missing])
         A = A / np.maximum(np.linalg.norm(A, axis=0), TINY)
         U, size, _ = np.linalg.svd(A, full_matrices=False)
         U = U[:, size > ROUNDING * size[0]]
-        U = _without(U, np.concatenate([f[:, i] for f in inputs]))
         # Short records determine only some combinations: those that explain most.
         most = max(int(independent / _ROWS_PER_NUMBER), 1)
         U = U[:, np.argsort(-np.abs(U.T @ b)[:, 0])[:most]]
@@ -73,13 +77,20 @@ def residual_of_richest(
     return left
 
 
-def _without(U: Array, force: Array) -> Array:
-    """Return an orthonormal basis (rows, k) of columns without a force (rows,) that they give."""
-    along = U.T @ force
-    whole, given = float(force @ force), float(along @ along)
-    if whole == 0.0 or whole - given > SearchOptions().inexact * whole:
-        return U
-    return np.asarray(U @ np.linalg.qr(along[:, None], mode="complete")[0][:, 1:])
+def _without_input(held: Array, laws: Array, force: Array) -> Array:
+    """Return columns of the commands (rows, C) that do not give the force (rows, 1) of the inputs.
+
+    laws (rows, L): of the commands, which the model has.
+    """
+    basis = basis_of(laws) if laws.shape[1] else laws
+    rest, beyond = held - basis @ (basis.T @ held), force - basis @ (basis.T @ force)
+    own = np.linalg.norm(rest, axis=0) > ROUNDING * np.linalg.norm(held, axis=0)
+    inside = basis_of(rest[:, own])
+    along = inside.T @ beyond
+    size, given = (float(np.sum(x * x)) for x in (beyond, along))
+    if size == 0.0 or size - given > SearchOptions().inexact * size:
+        return held
+    return np.asarray(inside @ np.linalg.qr(along, mode="complete")[0][:, 1:])
 
 
 def _varying(values: Array, moves: Array) -> Array:
@@ -88,14 +99,17 @@ def _varying(values: Array, moves: Array) -> Array:
     return np.asarray((values - mean) * moves)
 
 
-def _columns(record: ForceRecord, point: ForceModel, unlisted: bool) -> Array:
-    """Return the columns of the form (rows, C)."""
-    s = record.signals
-    forces = _forms(s, unlisted)
-    found = [_smoothed(record, forces)]
-    for held in _held_forms(s):
-        found.append(record.force_of_command(point.model, held))
-    return np.hstack(found)
+def _of_commands(record: ForceRecord, point: ForceModel) -> Array:
+    """Return the columns of the form that depend on commands only (rows, C)."""
+    forces = [record.force_of_command(point.model, held) for held in _held_forms(record.signals)]
+    return np.hstack(forces) if forces else np.zeros((record.rows, 0))
+
+
+def _laws_of_commands(record: ForceRecord, point: ForceModel) -> Array:
+    """Return the forces of the model's laws of commands (L, rows, n)."""
+    changes = [record.group_changes(point, p.effect, p.shape)[:, 0] for p in point.placed]
+    found = np.concatenate([np.zeros((0, *record.kept[0].shape)), *changes])
+    return found[found.any(axis=(1, 2))]
 
 
 def foretold(

@@ -69,13 +69,12 @@ class ForceTrace:
     each effect's amplitudes, in the point's order. before, after: errors on the reported rows.
     rows: what is missing in the fitted rows, with a free form too, and what of it is noise;
     between: the same without the turns of DOF with friction, None without any. unseen (2, n): what
-    linear terms and a form of the motion leave of blocks that did not fit them.
-    left_share: for each effect
-    found, the share of the squared missing force without it that is left with it, of what such a
-    form explains; leaning: the same without the effects in doubt. curves: free forms of a law's
-    signal that surely improve on it, by the law's identity. noise_sd (n,): of each output;
-    noise_stated: whether the signals files state it. fitted, reported: the records below the band's
-    limit `limit_hz`.
+    linear terms and a form of the motion leave of blocks that did not fit them. left_share: for
+    each effect found, the share of the squared missing force without it that is left with it,
+    beyond the noise of the outputs; leaning: the same without the effects in doubt. curves: free
+    forms of a law's signal that surely improve on it, by the law's identity. noise_sd (n,): of each
+    output; noise_stated: whether the signals files state it. fitted, reported: the records below
+    the band's limit `limit_hz`.
     """
 
     config: ModelConfig

@@ -255,8 +255,9 @@ def test_what_leaves_much_and_may_be_zero_was_not_found(
     rated = law_of("actuator_lag").rated
     found = Searched(SimpleNamespace(placed=(rated.placed,)), (rated,), (), ())  # type: ignore[arg-type]
     nothing = np.zeros(0)
+    rows = FittedRows(nothing, nothing, nothing)
     told = certainty_of_effects.Certainty(
-        found, nothing, nothing, [np.array([error])], nothing, nothing, (left,), (0.0,)
+        found, nothing, nothing, [np.array([error])], nothing, rows, None, (left,), (0.0,)
     )
     expected = rated.placed.effect.identity if gone else None
     assert told.says_nothing(SearchOptions()) == expected

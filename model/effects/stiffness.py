@@ -35,8 +35,9 @@ _CONTACTS = (-0.4, 0.0, 0.4)
 _YIELDS, _YIELD_BOUNDS = (0.03, 0.3), (1e-4, 3.0)
 """Start values and bounds of the deflection within which a preload is reached, over the standard
 deviation of the motion. With a longer one the force would be that of a linear spring."""
-_LEVELS = (0.3, 1.0)
-"""Start values of the deflection within which a spring levels off, over the same."""
+_LEVELS, _SNAPS = (0.3, 1.0), (0.1, 0.4)
+"""Start values of the deflection within which a spring levels off, over the same, and within which
+it snaps through: within more than the RMS motion it is a cubic spring."""
 _WAYS, _HARDENS = {"up": 1.0, "down": -1.0}, (0.2, 10.0)
 """Ways in which a spring hardens exponentially, and bounds of the deflection within which it does,
 over the same. With a longer one it is a quadratic spring."""
@@ -117,13 +118,31 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     effect_class,
                     (dof,),
                     "force = -P tanh((q - q0) / width)",
-                    (Quantity("P", force),),
+                    (Quantity("P", force, 0.0),),
                     partial(_leveling, dof=i),
                     (
                         Quantity("q0", unit, middle - reach, middle + reach),
                         Quantity("width", unit, shortest, longest, log=True),
                     ),
                     tuple((middle, one * extent.reach[i]) for one in _LEVELS),
+                    absorbed_by=_LINEAR,
+                    told_apart_by="two amplitudes of excitation",
+                )
+            )
+            found.append(
+                Effect(
+                    "stiffness.pushing",
+                    "Spring that pushes away from a place (snap-through)",
+                    effect_class,
+                    (dof,),
+                    "force = P tanh((q - q0) / width)",
+                    (Quantity("P", force, 0.0),),
+                    partial(_pushing, dof=i),
+                    (
+                        Quantity("q0", unit, middle - reach, middle + reach),
+                        Quantity("width", unit, shortest, extent.reach[i], log=True),
+                    ),
+                    tuple((middle, one * extent.reach[i]) for one in _SNAPS),
                     absorbed_by=_LINEAR,
                     told_apart_by="two amplitudes of excitation",
                 )
@@ -204,6 +223,10 @@ def _preloaded(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Te
 def _leveling(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     away = (positions_between_rows(signals, dof) - shape[0]) / shape[1]
     return [on_dof(signals, dof, -at_rows(means_of_parts(away, np.tanh, ln_cosh)))]
+
+
+def _pushing(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+    return [term.times(-1.0) for term in _leveling(signals, shape, dof=dof)]
 
 
 def _clipped(away: Array) -> Array:

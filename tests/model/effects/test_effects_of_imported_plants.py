@@ -48,6 +48,7 @@ KEYS = (
     "damping.root",
     "stiffness.power",
     "stiffness.leveling_off",
+    "stiffness.pushing",
     "stiffness.exponential.up",
     "stiffness.exponential.down",
     "permanent_magnet.y2.opens",
@@ -79,7 +80,8 @@ KEYS = (
 )  # fmt: skip
 OF_PARTS = (
     "actuator.times_speed", "stiffness.preloaded", "damping.falling", "damping.eddy_current",
-    "friction.leveling_off", "stiffness.leveling_off", "damping.power", "damping.root",
+    "friction.leveling_off", "stiffness.leveling_off", "stiffness.pushing", "damping.power",
+    "damping.root",
 )  # fmt: skip
 """Laws that are means of parts of a row."""
 EACH = pytest.mark.parametrize("key", KEYS)
@@ -336,6 +338,7 @@ LAWS: dict[str, Law] = {
     ),
     "stiffness.preloaded": preloaded,
     "stiffness.leveling_off": leveling_off,
+    "stiffness.pushing": lambda *numbers: -leveling_off(*numbers),
     "stiffness.exponential.up": lambda q, v, F, P, d: -P * (np.exp(q / d) - 1.0),
     "stiffness.exponential.down": lambda q, v, F, P, d: P * (np.exp(-q / d) - 1.0),
     "stiffness.power": to_a_power("stiffness.power", False),

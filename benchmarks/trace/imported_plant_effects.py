@@ -133,10 +133,10 @@ LAWS = {
     "drifting_mass": Law(
         Kind.DRIFTING_MASS, ("inertia",), effect="inertia.drift", names=("rate",)
     ),
-    "warming_friction": Law(Kind.WARMING, ("friction",)),
+    "warming_friction": Law(Kind.WARMING_FRICTION, ("friction",)),
     "bent_reading": Law(Kind.BENT, ("sensor_nonlinearity",)),
     "warming_grease": Law(
-        Kind.COOLING, ("damping",), effect="damping.warming", names=("cold", "tau")
+        Kind.WARMING_DAMPING, ("damping",), effect="damping.warming", names=("cold", "tau")
     ),
 }  # fmt: skip
 """Effects by name. A plant's seed has the number of its law in it: new ones come last."""
@@ -349,15 +349,15 @@ def _numbers(
         Kind.PERMANENT_MAGNET: (-tenth, q * (5.0 + 5.0 * share)),
         Kind.CUBIC_DAMPER: (tenth / w**3,),
         Kind.HYSTERESIS: (0.2, (0.1 + share) * u),
+        # Of the numbers drawn above: more draws would change all plants that were drawn before.
         Kind.SHAFT: (
-            0.2 * mass, middle * rng.uniform(0.5, 1.2), rng.uniform(0.01, 0.05),
-            middle * rng.uniform(0.05, 2.0),
+            0.2 * mass, middle * (0.3 + 2.0 * share), 0.1 * share, 2.0 * middle * peak**2
         ),
         Kind.DRIFTING_DAMPING: (tenth / w / seconds,),
         Kind.DRIFTING_STIFFNESS: (tenth / q / seconds,),
         Kind.DRIFTING_MASS: (0.3 * mass / seconds,),
-        Kind.WARMING: (tenth, v, 4.0 * share, seconds * rng.uniform(0.05, 0.5)),
-        Kind.COOLING: (tenth / w, seconds * rng.uniform(0.05, 0.5)),
+        Kind.WARMING_FRICTION: (tenth, v, 4.0 * share, seconds * peak**2),
+        Kind.WARMING_DAMPING: (tenth / w, seconds * peak**2),
         Kind.BENT: (np.sign(share - 0.25) * (0.01 + 0.3 * abs(share - 0.25)) / q,),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))

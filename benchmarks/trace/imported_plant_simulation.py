@@ -67,15 +67,15 @@ class Kind(IntEnum):
     DRIFTING_DAMPING = 41  # -s t w
     DRIFTING_STIFFNESS = 42  # -s t q
     DRIFTING_MASS = 43  # -s t w'
-    WARMING = 44  # -s (1 + share exp(-t / tau)) tanh(w / v): number s, v, share, tau
-    COOLING = 46  # -s exp(-t / tau) w
+    WARMING_FRICTION = 44  # -s (1 + share exp(-t / tau)) tanh(w / v): number s, v, share, tau
     BENT = 45  # a reading of q + s q^2
+    WARMING_DAMPING = 46  # -s exp(-t / tau) w
 
 
 _FORCES_ON_DOF = (
     Kind.THINNING, Kind.PRELOAD, Kind.LEVELING, Kind.SOFT_SPRING, Kind.QUINTIC, Kind.FOAM,
     Kind.PERMANENT_MAGNET, Kind.CUBIC_DAMPER, Kind.DRIFTING_DAMPING, Kind.DRIFTING_STIFFNESS,
-    Kind.WARMING, Kind.COOLING,
+    Kind.WARMING_FRICTION, Kind.WARMING_DAMPING,
 )  # fmt: skip
 """Of the kinds behind those of an input."""
 
@@ -176,9 +176,9 @@ def _on_dof(  # noqa: PLR0911, PLR0912 - numba has no match
         return -s[0] * t_s * w
     if kind == Kind.DRIFTING_STIFFNESS:
         return -s[0] * t_s * q
-    if kind == Kind.COOLING:
+    if kind == Kind.WARMING_DAMPING:
         return -s[0] * np.exp(-t_s / s[1]) * w
-    if kind == Kind.WARMING:
+    if kind == Kind.WARMING_FRICTION:
         return -s[0] * (1.0 + s[2] * np.exp(-t_s / s[3])) * np.tanh(w / s[1])
     if kind == Kind.PRELOAD:
         return -s[0] * min(max((q - s[1]) / s[2], -1.0), 1.0)

@@ -133,16 +133,18 @@ def _described(result: ForceOutcome) -> list[str]:
     if result.lacks or not result.form_matters:
         return []
     several = len(result.dof) > 1
-    left = [
-        f"{fitted:.3g} %" + (f" at {symbol(name)}" if several else "") + f", and {form:.3g} %"
-        for name, fitted, form in result.with_form
-    ]
-    what = "something else" if result.laws else "something"
-    clause = (
-        f"the model lacks {what}: in the fitted rows it leaves {'; '.join(left)} beside a free "
-        "form of all signals"
+    left = listed(
+        [
+            f"{fitted:.3g} %" + (f" at {symbol(name)}" if several else "")
+            for name, fitted, _ in result.with_form
+        ]
     )
-    return [clause] if left else []
+    form = listed([f"{form:.3g} %" for _, _, form in result.with_form])
+    what = "something else" if result.laws else "something"
+    return [
+        f"the model lacks {what}: in the fitted rows it leaves {left} of the force, with a free "
+        f"form of all signals {form}"
+    ]
 
 
 def _beyond_noise(result: ForceOutcome) -> list[str]:
@@ -163,7 +165,9 @@ def _at_turns(result: ForceOutcome) -> list[str]:
     if not result.at_turns:
         return []
     names = listed([symbol(name) for name in result.at_turns])
-    return [f"what is left at {names} is where it turns: there friction may hold it for a moment"]
+    return [
+        f"what is left at {names} is left at the turns, where friction may hold it for a moment"
+    ]
 
 
 def _rest_of_imported(result: ForceOutcome) -> str:

@@ -71,6 +71,12 @@ class ForceModel:
         named = dict(zip(self.parameters.names, values.tolist(), strict=True))
         return replace(self, model=self.model.with_values(named))
 
+    @property
+    def rubbed(self) -> frozenset[str]:
+        """Places of its laws of friction."""
+        laws = (p.effect for p in self.placed if p.effect.effect_class == "friction")
+        return frozenset(place for law in laws for place in law.where)
+
     def freed(self) -> ForceModel:
         """Return the model with no effect held to its textbook form."""
         return replace(self, placed=tuple(replace(p, plain=False) for p in self.placed))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,11 +48,11 @@ class ForceOutcome:
     `after_rms` in its unit. fitted, free_form (n,): what the model and a free form of all signals
     leave of the force in the fitted rows, in per cent, nan without one. lacking: by DOF, the share
     of the squared missing force that a function of the motion foretells, where it matters.
-    beyond_noise: by DOF, the share of it that the noise of the outputs does not explain, where it
-    matters. form_matters: whether a free form of all signals would take what matters at any DOF,
-    beyond that noise: a form of noisy signals takes a part of their noise. at_turns: DOF with
-    friction at which all that matters is where they turn, and nowhere else; these are not among
-    the others.
+    beyond_noise: by DOF, the share of the squared missing force that the noise of the outputs does
+    not explain, where it matters. form_matters: by DOF, the share that a free form of all signals
+    would take beyond that noise, where it matters: a form of noisy signals takes a part of it.
+    at_turns: DOF with friction at which what matters is where they turn only; they count neither
+    for beyond_noise nor for form_matters.
     nearest: what takes much of what is left, and was refused, as a clause; empty if nothing does.
     """
 
@@ -67,7 +67,7 @@ class ForceOutcome:
     free_form: Array
     lacking: Mapping[str, float]
     beyond_noise: Mapping[str, float]
-    form_matters: bool
+    form_matters: Mapping[str, float]
     at_turns: tuple[str, ...]
     dof: tuple[str, ...]
     nearest: str
@@ -81,8 +81,8 @@ class ForceOutcome:
     def lacks_something(self) -> bool:
         """Whether the model lacks what its numbers may hold a part of, beyond their intervals."""
         inexact = any(law.inexact for law in self.laws)
-        more = self.form_matters or bool(self.lacking) or bool(self.beyond_noise)
-        return self.doubtful or inexact or more
+        more = self.form_matters or self.lacking or self.beyond_noise
+        return self.doubtful or inexact or bool(more)
 
     @property
     def verdict(self) -> str:
@@ -121,8 +121,7 @@ class ForceOutcome:
         """Where a free form takes what matters: DOF, what the model and the form leave, in per
         cent of the force in the fitted rows."""
         every = zip(self.dof, self.fitted, self.free_form, strict=True)
-        there = self.form_matters
-        return [(n, a, b) for n, a, b in every if there and b < a and n not in self.at_turns]
+        return [one for one in every if one[0] in self.form_matters]
 
     @property
     def lacks(self) -> list[str]:
@@ -148,7 +147,7 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
     floor = sizes[2] if free_run and trace.noise_stated else None
     by_form = _worth(trace, PERCENT * trace.rows.missing, PERCENT * trace.rows.any_law)
     beyond = _worth(trace, after.force_percent, after.noise_percent)
-    turning = _only_at_turns(trace, {*by_form, *beyond})
+    turning = _only_at_turns(trace)
     return ForceOutcome(
         _laws(trace),
         "free_run" if free_run else "force",
@@ -161,7 +160,7 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         PERCENT * trace.rows.form,
         _lacking(trace),
         {name: share for name, share in beyond.items() if name not in turning},
-        any(name not in turning for name in by_form),
+        {name: share for name, share in by_form.items() if name not in turning},
         turning,
         trace.places.dof,
         _nearest(trace),
@@ -191,17 +190,20 @@ def _worth(trace: ForceTrace, left: Array, form: Array) -> dict[str, float]:
     return found
 
 
-def _only_at_turns(trace: ForceTrace, some: Container[str]) -> tuple[str, ...]:
-    """Return those of some DOF of which noise explains all that is missing between their turns.
+def _only_at_turns(trace: ForceTrace) -> tuple[str, ...]:
+    """Return the DOF with friction at which noise explains all that is missing between their turns,
+    and not all that is missing in the fitted rows.
 
     Where friction holds a DOF for a moment, its force is what acts on it, which no law tells.
     """
     if trace.between is None:
         return ()
-    missing, noise = PERCENT * trace.between.missing, PERCENT * trace.between.noise
-    left = _worth(trace, missing, noise)
-    rubbed = {w for r in trace.found.rated for w in r.placed.effect.where}
-    return tuple(n for n in trace.places.dof if n in some and n in rubbed and n not in left)
+    there, between = (
+        _worth(trace, PERCENT * rows.missing, PERCENT * rows.noise)
+        for rows in (trace.rows, trace.between)
+    )
+    rubbed = trace.found.point.rubbed
+    return tuple(n for n in trace.places.dof if n in rubbed and n in there and n not in between)
 
 
 def _nearest(trace: ForceTrace) -> str:

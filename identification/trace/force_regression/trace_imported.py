@@ -359,10 +359,7 @@ def _between_turns(
     Empty if there is no friction, or too few rows are left.
     """
     names = training.records[0].signals.places.dof
-    rubbing = {
-        w for p in point.placed if p.effect.effect_class == "friction" for w in p.effect.where
-    }
-    rubbed = np.array([name in rubbing for name in names])
+    rubbed = np.array([name in point.rubbed for name in names])
     records = tuple(r.between_turns(rubbed) for r in training.records)
     moving, left = (
         np.sum([r.moves.sum(axis=0) for r in some], axis=0) for some in (training.records, records)

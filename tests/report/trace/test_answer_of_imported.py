@@ -34,7 +34,7 @@ def test_the_missing_force_of_each_dof_falls_stays_or_rises(
         after=SimpleNamespace(force_percent=after),
         laws=("a law",),
         lacks=(),
-        form_matters=False,
+        form_matters={},
         at_turns=(),
         beyond_noise={},
     )
@@ -48,7 +48,7 @@ def test_what_is_more_than_noise_is_said_where_no_form_describes_it() -> None:
         after=SimpleNamespace(force_percent=(18.7, 3.0), noise_percent=(0.039, 2.9)),
         laws=("a law",),
         lacks=(),
-        form_matters=False,
+        form_matters={},
         at_turns=(),
         beyond_noise={"a": 1.0},
     )
@@ -65,10 +65,28 @@ def test_what_a_free_form_describes_and_no_law_does_is_said() -> None:
         with_form=[("a", 85.0, 3.21)],
         laws=(),
         lacks=(),
-        form_matters=True,
+        form_matters={"a": 0.99},
         at_turns=(),
     )
     assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
-        "The model lacks something: in the fitted rows it leaves 85 %, and 3.21 % beside a free "
-        "form of all signals."
+        "The model lacks something: in the fitted rows it leaves 85 % of the force, with a free "
+        "form of all signals 3.21 %."
     )
+
+
+def test_what_is_left_at_turns_is_no_other_law() -> None:
+    result = SimpleNamespace(
+        dof=("a",),
+        before=SimpleNamespace(force_percent=(25.2,)),
+        after=SimpleNamespace(force_percent=(2.73,)),
+        laws=("friction",),
+        lacks=(),
+        form_matters={},
+        beyond_noise={},
+        at_turns=("a",),
+    )
+    said = _rest_of_imported(result)  # type: ignore[arg-type]
+    assert said.endswith(
+        "What is left at a is left at the turns, where friction may hold it for a moment."
+    )
+    assert "lacks" not in said

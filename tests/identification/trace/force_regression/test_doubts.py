@@ -202,13 +202,14 @@ def test_a_dof_lacks_what_a_free_form_takes_if_it_matters() -> None:
 
 def test_what_matters_at_turns_only_is_told_from_what_matters_everywhere() -> None:
     trace = left_with([5.0, 5.0], [2.0, 2.0])
-    rubbing = SimpleNamespace(placed=SimpleNamespace(effect=SimpleNamespace(where=("x",))))
-    trace.found = SimpleNamespace(rated=(rubbing,))
+    trace.found = SimpleNamespace(point=SimpleNamespace(rubbed={"x"}))
     quiet = FittedRows(*np.array([[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]]) / 100.0)
     for between, expected in ((None, ()), (quiet, ("x",)), (trace.rows, ())):
         trace.between = between
         # There is no friction at y.
-        assert force_trace_summary._only_at_turns(trace, {"x", "y"}) == expected
+        assert force_trace_summary._only_at_turns(trace) == expected
+    trace.rows = quiet  # what is missing in the reported rows is not at turns
+    assert force_trace_summary._only_at_turns(trace) == ()
 
 
 def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -> None:

@@ -136,7 +136,7 @@ LAWS = {
     "warming_friction": Law(Kind.WARMING_FRICTION, ("friction",)),
     "bent_reading": Law(Kind.BENT, ("sensor_nonlinearity",)),
     "warming_grease": Law(
-        Kind.WARMING_DAMPING, ("damping",), effect="damping.warming", names=("cold", "tau")
+        Kind.WARMING_DAMPING, ("damping",), effect="damping.warming", names=("excess", "tau")
     ),
 }  # fmt: skip
 """Effects by name. A plant's seed has the number of its law in it: new ones come last."""

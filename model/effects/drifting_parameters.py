@@ -1,12 +1,11 @@
 """Mass, damping, stiffness and friction that change over a session.
 
-A spool fills and a tank drains, grease and seals warm up, rubber creeps and a belt stretches. What
-changes at a constant rate is a term of the model times the session's time. Friction falls towards
-that of a warm bearing as its heat does, in one time constant (Olsson et al., *Friction models and
-friction compensation*, European Journal of Control 4, 1998, section 2; Simoni et al., *Friction
-modeling with temperature effects for industrial robot manipulators*, IROS 2015). Signature: the
-same motion needs another force later. A gain of the only actuator that drifts changes all terms of
-a model in one proportion.
+A spool fills and a tank drains, rubber creeps and a belt stretches: a term of the model changes at
+a constant rate. Grease and bearings rub more while they are cold, by an excess that fades with one
+time constant (Olsson et al., *Friction models and friction compensation*, European Journal of
+Control 4, 1998, section 2; Simoni et al., *Friction modeling with temperature effects for
+industrial robot manipulators*, IROS 2015). Signature: the same motion needs another force later. A
+drifting gain of the only actuator, in contrast, changes all terms of a model in one proportion.
 """
 
 from __future__ import annotations
@@ -43,7 +42,10 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     tau = Quantity("tau", "s", _SHORTEST * session_s, _LONGEST * session_s, log=True)
     starts_s = tuple(share * session_s for share in _STARTS)
     for i in n:
-        found += [_grease(places, i, tau, starts_s), _bearing(places, extent, i, tau, starts_s)]
+        found += [
+            _warming_damping(places, i, tau, starts_s),
+            _warming_friction(places, extent, i, tau, starts_s),
+        ]
     return found
 
 
@@ -62,15 +64,15 @@ def _drift(places: Places, i: int, name: str, title: str, of: str, time: str) ->
     )
 
 
-def _grease(places: Places, i: int, tau: Quantity, starts_s: tuple[float, ...]) -> Effect:
+def _warming_damping(places: Places, i: int, tau: Quantity, starts_s: tuple[float, ...]) -> Effect:
     return Effect(
         "damping.warming",
         "Damping that changes as it warms",
         "damping",
         (places.dof[i],),
-        "force = -cold exp(-t / tau) q', t from the session's begin",
-        (Quantity("cold", f"{places.force_unit(i)} s/{places.dof_units[i]}"),),
-        partial(_cooling, dof=i),
+        "force = -excess exp(-t / tau) q', t from the session's begin",
+        (Quantity("excess", f"{places.force_unit(i)} s/{places.dof_units[i]}"),),
+        partial(_fading_damping, dof=i),
         (tau,),
         tuple((start_s,) for start_s in starts_s),
         absorbed_by="in thermal equilibrium: damping",
@@ -78,7 +80,7 @@ def _grease(places: Places, i: int, tau: Quantity, starts_s: tuple[float, ...]) 
     )
 
 
-def _bearing(
+def _warming_friction(
     places: Places, extent: Extent, i: int, tau: Quantity, starts_s: tuple[float, ...]
 ) -> Effect:
     force, unit, speed = places.force_unit(i), places.dof_units[i], extent.speed[i]
@@ -87,14 +89,14 @@ def _bearing(
         "Dry friction that changes as it warms",
         "friction",
         (places.dof[i],),
-        "force = -(friction + cold exp(-t / tau)) tanh(q'/v_s), t from the session's begin",
-        (Quantity("friction", force, 0.0), Quantity("cold", force)),
-        partial(_warm, dof=i),
+        "force = -(friction + excess exp(-t / tau)) tanh(q'/v_s), t from the session's begin",
+        (Quantity("friction", force, 0.0), Quantity("excess", force)),
+        partial(_fading_friction, dof=i),
         (turning_speed(unit, speed), tau),
         tuple((0.02 * speed, start_s) for start_s in starts_s),
         absorbed_by="in thermal equilibrium: Coulomb friction",
         told_apart_by=_LATER,
-        contains={"friction.coulomb": _cold},
+        contains={"friction.coulomb": _without_excess},
     )
 
 
@@ -103,17 +105,17 @@ def _in_time(signals: Signals, _shape: Sequence[float], *, name: str, dof: int) 
     return [on_dof(signals, dof, -signals.time_s * motion[:, dof])]
 
 
-def _cooling(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+def _fading_damping(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     fading = np.exp(-signals.time_s / shape[0])
     return [on_dof(signals, dof, -fading * signals.qd[:, dof])]
 
 
-def _warm(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+def _fading_friction(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     v_s, tau_s = shape
     level = -direction(signals, dof, v_s)
     fading = np.exp(-signals.time_s / tau_s)
     return [on_dof(signals, dof, level), on_dof(signals, dof, fading * level)]
 
 
-def _cold(shape: Sequence[float]) -> tuple[float, ...]:
+def _without_excess(shape: Sequence[float]) -> tuple[float, ...]:
     return tuple(shape[:1])

@@ -1,11 +1,10 @@
 """Load on a soft shaft that no sensor sees: a two-mass drive measured at the motor.
 
 The load hangs on a spring as a mass on a spring does (`flexible`), and its own bearings slow it
-down: they act on its speed, not on the deflection of the shaft (Zirn, Weikert, *Modellbildung und
-Simulation hochdynamischer Fertigungssysteme*, 2006, ch. 3; Ljung, *System Identification*, 1999,
-section 4.3, with a motor). Signature: the resonance and the antiresonance of a mass on a spring,
-with the damping of both in another proportion; far below them the load's bearings damp the motor.
-With a gap in the shaft it is a load behind a gap.
+down: they act on its speed, not on the deflection of the shaft (Schroeder, *Elektrische Antriebe:
+Regelung von Antriebssystemen*, 2015, on two-mass systems). Signature: the resonance and the
+antiresonance of a mass on a spring, with the damping of both in another proportion; far below them
+the load's bearings damp the motor. With a gap in the shaft it is a load behind a gap.
 """
 
 from __future__ import annotations

@@ -6,13 +6,13 @@ downward deflection; a quadratic part describes this. The force of a one-sided c
 over the deflection (Shaw and Holmes 1983). A spring that is preloaded against a stop to both sides
 returns to the middle with a force that jumps there, as that of a throttle valve at its limp-home
 position (Deur et al., *An electronic throttle control strategy*, 2004). Buckled beams and disc
-springs level off within their travel; foam and tissue harden exponentially (Fung, *Biomechanics*,
-1993, ch. 7). Rubber and polymers creep: a spring in series with a damper, beside the declared one,
-is soft when slow and stiff when fast (Lakes, *Viscoelastic Materials*, 2009, ch. 2). Signature: a
-force that depends on the pose only, not on the speed; the cubic part responds at odd lines of a
-multisine, the quadratic part at even lines and in the mean. A sensor's nonlinearity instead looks
-like a force that grows with frequency squared, and also appears in the non-rigid part of the
-readings.
+springs level off within their travel, and such a spring that pushes away from its middle snaps
+through; foam and tissue harden exponentially (Fung, *Biomechanics*, 1993, ch. 7). Rubber and
+polymers creep: a spring in series with a damper, beside the declared one, is soft when slow and
+stiff when fast (Lakes, *Viscoelastic Materials*, 2009, ch. 2). Signature: a force that depends on
+the pose only, not on the speed; the cubic part responds at odd lines of a multisine, the quadratic
+part at even lines and in the mean. A sensor's nonlinearity instead looks like a force that grows
+with frequency squared, and also appears in the non-rigid part of the readings.
 """
 
 from __future__ import annotations
@@ -35,9 +35,12 @@ _CONTACTS = (-0.4, 0.0, 0.4)
 _YIELDS, _YIELD_BOUNDS = (0.03, 0.3), (1e-4, 3.0)
 """Start values and bounds of the deflection within which a preload is reached, over the standard
 deviation of the motion. With a longer one the force would be that of a linear spring."""
-_LEVELS, _SNAPS = (0.3, 1.0), (0.1, 0.4)
-"""Start values of the deflection within which a spring levels off, over the same, and within which
-it snaps through: within more than the RMS motion it is a cubic spring."""
+_LEVELING = {
+    "leveling_off": ("Spring that levels off", -1.0, (0.3, 1.0), _YIELD_BOUNDS[1]),
+    "snap_through": ("Spring that snaps through", 1.0, (0.1, 0.4), 1.0),
+}
+"""Title, sign, start values and upper bound of the deflection within which the force levels off,
+over the same. One that snaps through within more than the RMS motion is a cubic spring there."""
 _WAYS, _HARDENS = {"up": 1.0, "down": -1.0}, (0.2, 10.0)
 """Ways in which a spring hardens exponentially, and bounds of the deflection within which it does,
 over the same. With a longer one it is a quadratic spring."""
@@ -111,42 +114,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     told_apart_by="two amplitudes of excitation: the jump does not move",
                 )
             )
-            found.append(
-                Effect(
-                    "stiffness.leveling_off",
-                    "Spring that levels off",
-                    effect_class,
-                    (dof,),
-                    "force = -P tanh((q - q0) / width)",
-                    (Quantity("P", force, 0.0),),
-                    partial(_leveling, dof=i),
-                    (
-                        Quantity("q0", unit, middle - reach, middle + reach),
-                        Quantity("width", unit, shortest, longest, log=True),
-                    ),
-                    tuple((middle, one * extent.reach[i]) for one in _LEVELS),
-                    absorbed_by=_LINEAR,
-                    told_apart_by="two amplitudes of excitation",
-                )
-            )
-            found.append(
-                Effect(
-                    "stiffness.pushing",
-                    "Spring that pushes away from a place (snap-through)",
-                    effect_class,
-                    (dof,),
-                    "force = P tanh((q - q0) / width)",
-                    (Quantity("P", force, 0.0),),
-                    partial(_pushing, dof=i),
-                    (
-                        Quantity("q0", unit, middle - reach, middle + reach),
-                        Quantity("width", unit, shortest, extent.reach[i], log=True),
-                    ),
-                    tuple((middle, one * extent.reach[i]) for one in _SNAPS),
-                    absorbed_by=_LINEAR,
-                    told_apart_by="two amplitudes of excitation",
-                )
-            )
+            found += [_leveling(places, i, name, extent) for name in _LEVELING]
             found += [_exponential(places, i, way, extent) for way in _WAYS]
             found.append(
                 Effect(
@@ -178,6 +146,28 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             )
         )
     return found
+
+
+def _leveling(places: Places, i: int, name: str, extent: Extent) -> Effect:
+    unit, reach = places.dof_units[i], extent.reach[i]
+    title, sign, starts, most = _LEVELING[name]
+    middle, farthest = extent.around(i), _WIDE * reach
+    return Effect(
+        f"stiffness.{name}",
+        title,
+        "stiffness",
+        (places.dof[i],),
+        f"force = {'-' if sign < 0.0 else ''}P tanh((q - q0) / width)",
+        (Quantity("P", places.force_unit(i), 0.0),),
+        partial(_tanh, dof=i, sign=sign),
+        (
+            Quantity("q0", unit, middle - farthest, middle + farthest),
+            Quantity("width", unit, _YIELD_BOUNDS[0] * reach, most * reach, log=True),
+        ),
+        tuple((middle, one * reach) for one in starts),
+        absorbed_by=_LINEAR,
+        told_apart_by="two amplitudes of excitation",
+    )
 
 
 def _exponential(places: Places, i: int, way: str, extent: Extent) -> Effect:
@@ -220,13 +210,9 @@ def _preloaded(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Te
     return [on_dof(signals, dof, -at_rows(means_of_parts(away, _clipped, _integral)))]
 
 
-def _leveling(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
+def _tanh(signals: Signals, shape: Sequence[float], *, dof: int, sign: float) -> list[Term]:
     away = (positions_between_rows(signals, dof) - shape[0]) / shape[1]
-    return [on_dof(signals, dof, -at_rows(means_of_parts(away, np.tanh, ln_cosh)))]
-
-
-def _pushing(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    return [term.times(-1.0) for term in _leveling(signals, shape, dof=dof)]
+    return [on_dof(signals, dof, sign * at_rows(means_of_parts(away, np.tanh, ln_cosh)))]
 
 
 def _clipped(away: Array) -> Array:

@@ -108,7 +108,7 @@ _CLAUSES = {
     "stiffness.preloaded": "a preloaded spring holds {at} in one place (with {P})",
     "stiffness.power": "the force of the spring of {at} is the deflection to the power {p}",
     "stiffness.exponential": "the spring of {at} hardens exponentially, within {d}",
-    "stiffness.pushing": "a spring pushes {at} away from a place within {width}",
+    "stiffness.snap_through": "the spring of {at} snaps through within {width}",
     "stiffness.leveling_off": "the spring of {at} levels off within {width}",
     "stiffness.one_sided": "a contact adds stiffness to one side of {at}",
     "air_damping.linear": "the damping of {at} is {d:higher|lower} than declared",

@@ -102,16 +102,8 @@ class Certainty:
             FittedRows.of(found.point, p, Beside.of(found.point, p).plain.own) for p in parts
         ]
         force = _rms([r.acting_force(found.point) for r in fitted])
-        quiet = _rms(
-            [
-                r.varying(r.missing_force(found.point))
-                - own.varying(own.missing_force(found.point))
-                for r, own in zip(others[-1].records, fitted, strict=True)
-            ]
-        )
-        least = quiet / force
         force_errors = relative_force_errors(point, fitted, uncertainty)
-        left_share = _left_share(found, training, least, options)
+        left_share = _left_share(found, training, rows.noise, options)
         return cls(
             with_numbers(found, point),
             uncertainty.standard_errors(),
@@ -121,7 +113,7 @@ class Certainty:
             rows,
             between[0] if between else None,
             left_share,
-            _leaning(found, training, least, options, left_share, force_errors),
+            _leaning(found, training, rows.noise, options, left_share, force_errors),
         )
 
     def says_nothing(self, options: SearchOptions) -> str | None:
@@ -207,12 +199,12 @@ def _with_what_came_near(
 
 
 def _left_share(
-    found: Searched, training: Training, least: Array, options: SearchOptions
+    found: Searched, training: Training, noise: Array, options: SearchOptions
 ) -> tuple[float, ...]:
     """Return for each effect the share of the squared missing force without it, the others fitted
     again, that is left with it, at the DOF where it takes most.
 
-    least (n,): what the noise of the outputs gives, over the acting force; only what is beyond it
+    noise (n,): what that of the outputs gives, over the acting force; only what is beyond it
     counts, and only if an effect must take as much. A free form that leaves more tells nothing: it
     may lack what the table lacks.
     """
@@ -222,7 +214,7 @@ def _left_share(
         return missing_share(plain.at(point))
 
     after = missing(found.point)
-    beyond = np.where(after - least > options.least_force, after**2 - least**2, 0.0)
+    beyond = np.where(after - noise > options.least_force, after**2 - noise**2, 0.0)
     shares = []
     for rated in found.rated:
         identity = rated.placed.effect.identity
@@ -238,7 +230,7 @@ def _left_share(
 def _leaning(
     found: Searched,
     training: Training,
-    least: Array,
+    noise: Array,
     options: SearchOptions,
     left_share: Sequence[float],
     force_errors: Sequence[Array],
@@ -267,7 +259,7 @@ def _leaning(
             replace(found, rated=rated), training.fit(replace(found.point, placed=kept))
         )
         more = set()
-        for r, share in zip(rated, _left_share(sure, training, least, options), strict=True):
+        for r, share in zip(rated, _left_share(sure, training, noise, options), strict=True):
             if not r.free and share > options.least_gain:
                 leaning[r.placed.effect.identity] = share
                 more.add(r.placed.effect.identity)

@@ -224,13 +224,12 @@ def test_bounds_of_dissipative_effects_keep_them_passive(places_of):
     # An asymmetry moves friction from one direction to the other, a and b from place to place, and
     # a cold bearing may rub less.
     free = ("air_damping.linear", "damping.outward", "damping.one_sided", "friction.beam_chain")
-    free += ("air_damping.across", "damping.across", "damping.drift")
-    free += ("damping.warming",)
+    free += ("air_damping.across", "damping.across", "damping.drift", "damping.warming")
     for effect in table(places_of).values():
         dissipates = effect.effect_class in ("friction", "air_damping", "damping")
         if (dissipates and effect.key not in free) or effect.key == "flexible_mode.loose_mass":
             signed = (
-                ("a", "b") if effect.key == "friction.along_position" else ("asymmetry", "cold")
+                ("a", "b") if effect.key == "friction.along_position" else ("asymmetry", "excess")
             )
             for quantity in effect.amplitudes:
                 expected = -np.inf if quantity.name in signed else 0.0

@@ -48,7 +48,7 @@ KEYS = (
     "damping.root",
     "stiffness.power",
     "stiffness.leveling_off",
-    "stiffness.pushing",
+    "stiffness.snap_through",
     "stiffness.exponential.up",
     "stiffness.exponential.down",
     "permanent_magnet.y2.opens",
@@ -80,7 +80,7 @@ KEYS = (
 )  # fmt: skip
 OF_PARTS = (
     "actuator.times_speed", "stiffness.preloaded", "damping.falling", "damping.eddy_current",
-    "friction.leveling_off", "stiffness.leveling_off", "stiffness.pushing", "damping.power",
+    "friction.leveling_off", "stiffness.leveling_off", "stiffness.snap_through", "damping.power",
     "damping.root",
 )  # fmt: skip
 """Laws that are means of parts of a row."""
@@ -305,10 +305,10 @@ def load_on_shaft(q, v, F, m, frequency, damping, slowing):
     return load(q, v, F, m, frequency, damping, 0.0, slowing)
 
 
-def warming(q, v, F, friction, cold, v_s, tau):
+def warming(q, v, F, friction, excess, v_s, tau):
     def law(t):
         speed = CubicHermiteSpline(moving().time_s, moving().qd[:, 0], moving().qdd[:, 0])(t)
-        return (friction + cold * np.exp(-t / tau)) * np.tanh(speed / v_s)
+        return (friction + excess * np.exp(-t / tau)) * np.tanh(speed / v_s)
 
     return -around_rows(law, lambda t: t)
 
@@ -317,7 +317,7 @@ LAWS: dict[str, Law] = {
     "damping.drift": lambda q, v, F, rate: -rate * moving().time_s * v,
     "stiffness.drift": lambda q, v, F, rate: -rate * moving().time_s * q,
     "inertia.drift": lambda q, v, F, rate: -rate * moving().time_s * moving().qdd[:, 0],
-    "damping.warming": lambda q, v, F, cold, tau: -cold * np.exp(-moving().time_s / tau) * v,
+    "damping.warming": lambda q, v, F, excess, tau: -excess * np.exp(-moving().time_s / tau) * v,
     "friction.warming": warming,
     "flexible_mode.load": load_on_shaft,
     "damping.eddy_current": lambda q, v, F, d, v_0: (
@@ -338,7 +338,7 @@ LAWS: dict[str, Law] = {
     ),
     "stiffness.preloaded": preloaded,
     "stiffness.leveling_off": leveling_off,
-    "stiffness.pushing": lambda *numbers: -leveling_off(*numbers),
+    "stiffness.snap_through": lambda *numbers: -leveling_off(*numbers),
     "stiffness.exponential.up": lambda q, v, F, P, d: -P * (np.exp(q / d) - 1.0),
     "stiffness.exponential.down": lambda q, v, F, P, d: P * (np.exp(-q / d) - 1.0),
     "stiffness.power": to_a_power("stiffness.power", False),

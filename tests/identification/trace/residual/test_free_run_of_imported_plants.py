@@ -155,7 +155,7 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
     "damping.power[3]": ((0.3,), (1.5,), lambda: lambda q, v, u: power(-0.3, v / 3.0, 1.5)),
     "damping.root[3]": ((0.3,), (0.5,), lambda: lambda q, v, u: power(-0.3, v / 3.0, 0.5)),
     "stiffness.power[0.3]": ((0.5,), (5.0,), lambda: lambda q, v, u: power(-0.5, q / 0.3, 5.0)),
-    "stiffness.pushing": (
+    "stiffness.snap_through": (
         (0.5,), (0.05, 0.2), lambda: lambda q, v, u: 0.5 * np.tanh((q - 0.05) / 0.2),
     ),
     "stiffness.leveling_off": (

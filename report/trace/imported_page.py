@@ -177,8 +177,9 @@ def _force_parts(trace: ForceTrace, result: ForceOutcome) -> tuple[Picture, Tabl
         ),
         Table(
             "Errors of all reported rows: missing force over the inputs' force, and free-run error "
-            "over the output. Noise: missing force that noise of the outputs gives. Fitted rows, "
-            "free form: share that the model and a general function of all signals leave there",
+            "over the output. Noise: missing force that noise of the outputs gives. Fitted rows: "
+            "what the model leaves in these; free form: what a general function of all signals "
+            "leaves there",
             head,
             tuple(rows),
         ),

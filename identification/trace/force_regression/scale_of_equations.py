@@ -1,19 +1,26 @@
 """Find equations whose terms are all free: no record tells their scale, so a parameter is held.
 
 An equation of motion holds times any factor. If every term of it has a free parameter, the fit may
-make all of them small together, with the force that the model lacks among them.
+make all of them small together, with the force that the model lacks among them. Another equation
+that shares a parameter may tell the scale, and how well depends on what the model lacks there: so
+it is asked before the search, of an equation as right as declared ones are, and again after it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...greybox.free_parameters import FreeParameters
 from ...rounding import ROUNDING, TINY
+from ..search_options import SearchOptions
+from .candidate_fit import Beside
 from .force_record import ForceModel
+from .held_out_gain import block_sums, gain_of
+from .rated_candidate import missing_after
 from .training_records import Evaluated, Training
 
 Array = NDArray[np.float64]
@@ -21,13 +28,13 @@ Array = NDArray[np.float64]
 
 def with_told_scales(
     start: ForceModel, training: Training, told_from_model: float
-) -> tuple[ForceModel, tuple[str, ...]]:
-    """Return a model with known scales, and a note for each parameter that is held for it.
+) -> tuple[ForceModel, dict[str, str]]:
+    """Return a model with known scales, and the DOF for whose scale each parameter is held.
 
     A parameter with a prior is held at its declared value, else what multiplies an input, else the
     mass. The intervals of the others do not include the error of the one that is held.
     """
-    point, notes = replace(start, placed=()), []
+    point, held_for = replace(start, placed=()), dict[str, str]()
     for i, dof in enumerate(start.model.dof):
         at = training.at(point)
         held = _parameter_to_hold(at, training.group_columns(at), i, told_from_model)
@@ -35,12 +42,59 @@ def with_told_scales(
             name = point.parameters.names[held]
             others = [k for k in range(len(point.parameters.names)) if k != held]
             point = replace(point, parameters=point.parameters.only(others))
-            notes.append(
-                f"every term of the equation of {dof} has a free parameter, so that records do not "
-                f"tell its scale: {name} is held at {point.model.values[name]:.4g}, and all other "
-                "numbers are in proportion to it"
-            )
-    return replace(start, parameters=point.parameters), tuple(notes)
+            held_for[name] = dof
+    return replace(start, parameters=point.parameters), held_for
+
+
+def told_after_all(
+    found: ForceModel, declared: FreeParameters, training: Training, options: SearchOptions
+) -> tuple[Training, ForceModel] | None:
+    """Return the records and a model without a parameter that is held, None if none is told.
+
+    It is told if another value of it takes of what the model misses as much as an effect must take.
+    While the dry friction of a cart is missing, that would be a value with which the mass stands
+    for friction.
+    declared: all that the model's file leaves free.
+    """
+    for name in declared.names:
+        if name in found.parameters.names:
+            continue
+        own = {*found.parameters.names, name}
+        free = declared.only([i for i, one in enumerate(declared.names) if one in own])
+        freed = replace(found, parameters=free)
+        at = training.at(replace(freed, placed=()))
+        anew = training.with_scale(at, options.told_from_model)
+        if _confirmed(free.names.index(name), Beside.of(freed, anew), options):
+            return anew, freed
+    return None
+
+
+def _confirmed(k: int, beside: Beside, options: SearchOptions) -> bool:
+    """Return whether another value of parameter k is confirmed as an effect would be."""
+    training, count = beside.training, len(beside.own[0])
+    others = [i for i in range(count) if i != k]
+    orders = others, [*others, k]
+    whole = training.judged(beside.at, beside.own, beside.groups)
+    before, after = (whole.only(order) for order in orders)
+    left = [
+        missing_after(fit.coefficients(), [c[order] for c in beside.own], beside.at.missing)
+        for fit, order in zip((before, after), orders, strict=True)
+    ]
+    size = block_sums(training.blocks, [a - b for a, b in zip(*left, strict=True)])
+    gain = gain_of(before, after, size, len(others), 1, training.blocks.record)
+    sure = gain.statistic > options.standard_errors and gain.elsewhere
+    return sure and gain.share > options.least_gain
+
+
+def notes_on_held(found: ForceModel, held_for: Mapping[str, str]) -> tuple[str, ...]:
+    """Return what each parameter that is still held for a DOF means for the other numbers."""
+    return tuple(
+        f"every term of the equation of {dof} has a free parameter, so that records do not tell "
+        f"its scale: {name} is held at {found.model.values[name]:.4g}, and all other numbers are "
+        "in proportion to it"
+        for name, dof in held_for.items()
+        if name not in found.parameters.names
+    )
 
 
 def _parameter_to_hold(

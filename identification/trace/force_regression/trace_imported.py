@@ -23,7 +23,7 @@ from ...greybox.force_balance.band_limited_signals import (
     middle_limit,
     velocity_limit,
 )
-from ...greybox.free_parameters import free_parameters
+from ...greybox.free_parameters import FreeParameters, free_parameters
 from ...greybox.identify_greybox import stated_noise
 from ...records.record import IdentificationError
 from ...rounding import TINY
@@ -48,7 +48,7 @@ from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
 from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
-from .scale_of_equations import with_told_scales
+from .scale_of_equations import notes_on_held, told_after_all, with_told_scales
 from .search import Progress, Searched, compared, search
 from .simpler_laws import with_plain_laws, with_simpler_laws
 from .training_records import Training, missing_share
@@ -162,14 +162,15 @@ def _traced(
     progress("fitting the declared model", options.share_done(-1))
     placed = placed_effects(config.effects, places, covered)
     start = ForceModel(model, free_parameters(config), placed)
-    training, start, held = _unweighed(start, fitted, limit_hz, options)
-    training, declared = _weighed(training, start, (), options)
+    training, fit, held_for = _unweighed(start, fitted, limit_hz, options)
+    training, declared = _weighed(training, fit, (), options)
     covered = _with_lines(covered, declared, fitted, limit_hz)
     table = _lacking(effects, declared, training, covered, overlap(records), options)
     free = [e for e in table.free if e.where[0] in places.dof]
 
-    def searched(training: Training, begun: Searched | None) -> Searched:
-        return search(declared, table.named, free, training, options, progress, begun)
+    def searched(training: Training, begun: Searched | None, most: int) -> Searched:
+        limited = replace(options, most_effects=most)
+        return search(declared, table.named, free, training, limited, progress, begun)
 
     def judged(found: Searched, training: Training) -> Certainty:
         others = [
@@ -185,12 +186,7 @@ def _traced(
         parts = _between_turns(found.point, training, options)
         return Certainty.of(found, fitted, training, others, options, unbiased, parts)
 
-    found = searched(training, None)
-    if found.rated and not training.weighs_what_is_left(found.point, options):
-        # What was missing may have been why the weights were refused, or most of them.
-        weighed, point = _weighed(training, found.point, found.rated, options)
-        if weighed is not training:
-            training, found = weighed, searched(weighed, replace(found, point=point))
+    training, found = _found(searched, training, start.parameters, held_for, options)
     progress("comparing rivals", options.share_done(options.most_effects))
     found = compared(found, table.named, training, options)
     found = with_simpler_laws(found, table.named, training, options)
@@ -206,6 +202,7 @@ def _traced(
     before, after = (
         _reported(point, records, begins, reported) for point in (declared, found.point)
     )
+    held = notes_on_held(found.point, held_for)
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors,
@@ -213,6 +210,35 @@ def _traced(
         last.leaning, curves, sd, stated, limit_hz, fitted, reported,
         (*notes, *held, *table.notes, *_at_limits(found.point), *_held(found.point)), options,
     )  # fmt: skip
+
+
+def _found(
+    searched: Callable[[Training, Searched | None, int], Searched],
+    training: Training,
+    free: FreeParameters,
+    held_for: Mapping[str, str],
+    options: SearchOptions,
+) -> tuple[Training, Searched]:
+    """Return the result of a search, and the records with the weights and scales that it led to.
+
+    searched: a search from a begin, for so many effects. free: all that the model's file leaves
+    free. held_for: the parameters of these that are held.
+    """
+    found = None
+    # A scale that is held may be why a second effect seems to be there.
+    for most in (1, options.most_effects) if held_for else (options.most_effects,):
+        found = searched(training, found, most)
+        if found.rated and not training.weighs_what_is_left(found.point, options):
+            # What was missing may have been why the weights were refused, or most of them.
+            weighed, point = _weighed(training, found.point, found.rated, options)
+            if weighed is not training:
+                training, found = weighed, searched(weighed, replace(found, point=point), most)
+        told = told_after_all(found.point, free, training, options)
+        if told is not None:
+            training, point = told
+            found = searched(training, replace(found, point=point), most)
+    assert found is not None
+    return training, found
 
 
 def _with_lines(
@@ -293,16 +319,17 @@ def _reported(
 
 def _unweighed(
     start: ForceModel, fitted: tuple[ForceRecord, ...], limit_hz: float, options: SearchOptions
-) -> tuple[Training, ForceModel, tuple[str, ...]]:
-    """Return the training records without weights, the model fitted to them, and notes on it."""
+) -> tuple[Training, ForceModel, dict[str, str]]:
+    """Return the training records without weights, the model fitted to them, and the DOF for whose
+    scale each parameter is held."""
     acting = np.concatenate([r.groups(start) for r in fitted], axis=1)
     flat = np.maximum(np.var(acting, axis=1).max(axis=0), TINY) * np.ones((2, 1))
     plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
     blocks = Blocks.of([r.rows for r in fitted], options.blocks)
     training = Training.unscaled(fitted, plain, blocks)
-    start, notes = with_told_scales(start, training, options.told_from_model)
+    start, held_for = with_told_scales(start, training, options.told_from_model)
     training = training.with_scale(training.at(start), options.told_from_model)
-    return training, training.first_fit(start), notes
+    return training, training.first_fit(start), held_for
 
 
 def _weighed(

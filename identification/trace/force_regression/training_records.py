@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
-from ...rounding import DIFFERENCE, TINY, basis_of
+from ...rounding import DIFFERENCE, ROUNDING, TINY, basis_of
 from ..search_options import SearchOptions
 from .force_record import GROUPS, ForceModel, ForceRecord
 from .free_numbers import Shape, moved_by, numbers_of, room, shapes_beside, way
@@ -382,22 +382,52 @@ class Training:
         The step is within the bounds. gone: way from the fit's begin to the point. instruments:
         records whose columns the missing force is projected on, instead of these records' own.
         """
-        A, b = self.regression(point)
+        at = self.at(point)
+        changes = self.group_columns(at)
+        A, b = self._regression(at, changes)
         Z = A if instruments is None else instruments.regression(point)[0]
-        size, of_instruments = (np.linalg.norm(X, axis=0) for X in (A, Z))
-        size = np.where(size > 0.0, size, 1.0)
+        of_instruments = np.linalg.norm(Z, axis=0)
         Q = np.linalg.qr(Z / np.where(of_instruments > 0.0, of_instruments, 1.0))[0]
-        asked = Q.T @ b
+        asked, scales = Q.T @ b, self._free_scales(at, changes)
+        A = np.hstack([A, A @ scales])
+        size = np.linalg.norm(A, axis=0)
+        size = np.where(size > 0.0, size, 1.0)
         damped = np.vstack([Q.T @ (A / size), _DAMPING * np.eye(len(size))])
-        low, high = room(point)
+        gone = np.concatenate([gone, np.zeros(scales.shape[1])])
         target = np.concatenate([asked, -_DAMPING * size * gone])
-        return np.asarray(lsq_linear(damped, target, (low * size, high * size)).x / size), asked
+        low, high = room(point)
+        least, most = _room_along(scales, low, high)
+        limits = np.append(low, least) * size, np.append(high, most) * size
+        step = lsq_linear(damped, target, limits).x / size
+        return np.asarray(step[: len(low)] + scales @ step[len(low) :]), asked
+
+    def _free_scales(self, at: Evaluated, changes: Sequence[Array]) -> Array:
+        """Return the change of all free numbers (C, equations free in their scale) that changes all
+        forces of such an equation in proportion.
+
+        Errors relative to its forces do not see it, so that only another equation tells how far to
+        go. Beside the numbers' own columns, which grow as all of them become small, a fit would not
+        move along it.
+        """
+        found = []
+        for i in np.flatnonzero(np.isfinite(self.reference)):
+            J = np.concatenate([c[..., i].reshape(len(c), -1) for c in changes], axis=1).T
+            force = np.concatenate([g[..., i].reshape(-1) for g in at.groups])
+            length = np.linalg.norm(J, axis=0)
+            length = np.where(length > 0.0, length, 1.0)
+            part = np.linalg.lstsq(J / length, force, rcond=ROUNDING)[0]
+            part[np.abs(part) < ROUNDING * np.abs(part).max(initial=0.0)] = 0.0
+            found.append(part / length)
+        return np.array(found).reshape(len(found), len(changes[0])).T
 
     def regression(self, point: ForceModel) -> tuple[Array, Array]:
         """Return the columns of all free numbers (rows, C) and the missing force (rows,), and below
         both the parameters' priors."""
         at = self.at(point)
-        columns = self.columns(at, self.group_columns(at), shrinks=True)
+        return self._regression(at, self.group_columns(at))
+
+    def _regression(self, at: Evaluated, changes: Sequence[Array]) -> tuple[Array, Array]:
+        point, columns = at.point, self.columns(at, changes, shrinks=True)
         A = np.hstack([c.reshape(len(c), -1) for c in columns]).T
         b = np.concatenate([m.reshape(-1) for m in at.missing])
         rows = point.parameters.prior_rows(point.values)
@@ -443,6 +473,19 @@ def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[n
         left = _beside(J, force)
         found.append(left @ left <= told * float(force @ force))
     return np.array(found)
+
+
+def _room_along(ways: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return how far down and up to go ways (C, k) of all numbers within their room (C,).
+
+    Down at most by half: at zero an equation says nothing.
+    """
+    ends = [np.divide(r[:, None], ways, out=np.full(ways.shape, np.inf), where=ways != 0.0)
+            for r in (low, high)]  # fmt: skip
+    least = np.where(ways > 0.0, ends[0], -np.abs(ends[1])).max(axis=0, initial=-0.5)
+    most = np.where(ways < 0.0, np.abs(ends[0]), ends[1]).min(axis=0, initial=np.inf)
+    tiny = np.finfo(float).eps
+    return np.minimum(least, -tiny), np.maximum(most, tiny)
 
 
 def _beside(J: Array, force: Array) -> Array:

@@ -16,7 +16,7 @@ from ..search_options import SearchOptions
 from .candidate_fit import Beside, fitted_candidate, taken_at, told_share
 from .force_record import ForceModel
 from .free_numbers import Shape, numbers_of
-from .held_out_gain import Gain, block_sums, gain_of
+from .held_out_gain import Blocks, Columns, Gain, block_sums, gain_of
 from .training_records import Training, acting_force
 
 Array = NDArray[np.float64]
@@ -148,19 +148,30 @@ def rated_beside(whole: Beside, rest: Beside, placed: Placed, instead_of: Placed
         [np.concatenate(pair) for pair in zip(old, new, strict=True)]
         for old, new in ((rest.own, own), (rest.groups, changes))
     )
-    before = training.judged(whole.at, whole.own, whole.groups)
-    after = training.judged(rest.at, columns, groups, more)
-    base, amplitudes = len(rest.own[0]), len(placed.amplitudes)
-    found = before.coefficients(), after.coefficients()
-    left = [
-        missing_after(found[0], whole.own, whole.at.missing),
-        missing_after(found[1], columns, rest.at.missing),
-    ]
-    change = [one - other for one, other in zip(*left, strict=True)]
-    size = block_sums(training.blocks, change)
-    gain = gain_of(before, after, size, base, amplitudes, training.blocks.record)
+    before = Fitted(training.judged(whole.at, whole.own, whole.groups), whole.own, whole.at.missing)
+    after = Fitted(training.judged(rest.at, columns, groups, more), columns, rest.at.missing)
+    gain = gain_between(before, after, len(rest.own[0]), len(placed.amplitudes), training.blocks)
+    found = before.judged.coefficients(), after.judged.coefficients()
     force = _force_share(whole, rest, placed, found)
     return Rated(placed, gain, force, instead_of)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model's Gram matrices, and of each record its columns (C, rows, n) and missing force
+    (rows, n)."""
+
+    judged: Columns
+    columns: list[Array]
+    missing: list[Array]
+
+
+def gain_between(before: Fitted, after: Fitted, base: int, amplitudes: int, blocks: Blocks) -> Gain:
+    """Return the gain of one model over another; columns of `after`: `base` own ones of the model,
+    so many amplitudes, and shapes."""
+    left = [missing_after(m.judged.coefficients(), m.columns, m.missing) for m in (before, after)]
+    size = block_sums(blocks, [one - other for one, other in zip(*left, strict=True)])
+    return gain_of(before.judged, after.judged, size, base, amplitudes, blocks.record)
 
 
 def _force_share(

@@ -19,8 +19,7 @@ from ...rounding import ROUNDING, TINY
 from ..search_options import SearchOptions
 from .candidate_fit import Beside
 from .force_record import ForceModel
-from .held_out_gain import block_sums, gain_of
-from .rated_candidate import missing_after
+from .rated_candidate import Fitted, gain_between
 from .training_records import Evaluated, Training
 
 Array = NDArray[np.float64]
@@ -46,15 +45,14 @@ def with_told_scales(
     return replace(start, parameters=point.parameters), held_for
 
 
-def told_after_all(
+def freed_if_told(
     found: ForceModel, declared: FreeParameters, training: Training, options: SearchOptions
 ) -> tuple[Training, ForceModel] | None:
-    """Return the records and a model without a parameter that is held, None if none is told.
+    """Return the records and the model with one held parameter free, None if none of them is told.
 
-    It is told if another value of it takes of what the model misses as much as an effect must take.
-    While the dry friction of a cart is missing, that would be a value with which the mass stands
-    for friction.
-    declared: all that the model's file leaves free.
+    A parameter is told if another value takes as much of what the model misses as an effect must
+    take. Before a large effect is found none may be: the missing force is larger than the part of
+    the parameter. declared: all that the model's file leaves free.
     """
     for name in declared.names:
         if name in found.parameters.names:
@@ -73,15 +71,13 @@ def _confirmed(k: int, beside: Beside, options: SearchOptions) -> bool:
     """Return whether another value of parameter k is confirmed as an effect would be."""
     training, count = beside.training, len(beside.own[0])
     others = [i for i in range(count) if i != k]
-    orders = others, [*others, k]
     whole = training.judged(beside.at, beside.own, beside.groups)
-    before, after = (whole.only(order) for order in orders)
-    left = [
-        missing_after(fit.coefficients(), [c[order] for c in beside.own], beside.at.missing)
-        for fit, order in zip((before, after), orders, strict=True)
-    ]
-    size = block_sums(training.blocks, [a - b for a, b in zip(*left, strict=True)])
-    gain = gain_of(before, after, size, len(others), 1, training.blocks.record)
+    orders = others, [*others, k]
+    before, after = (
+        Fitted(whole.only(order), [c[order] for c in beside.own], beside.at.missing)
+        for order in orders
+    )
+    gain = gain_between(before, after, len(others), 1, training.blocks)
     sure = gain.statistic > options.standard_errors and gain.elsewhere
     return sure and gain.share > options.least_gain
 

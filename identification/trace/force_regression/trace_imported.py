@@ -48,7 +48,7 @@ from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
 from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
-from .scale_of_equations import notes_on_held, told_after_all, with_told_scales
+from .scale_of_equations import freed_if_told, notes_on_held, with_told_scales
 from .search import Progress, Searched, compared, search
 from .simpler_laws import with_plain_laws, with_simpler_laws
 from .training_records import Training, missing_share
@@ -186,7 +186,12 @@ def _traced(
         parts = _between_turns(found.point, training, options)
         return Certainty.of(found, fitted, training, others, options, unbiased, parts)
 
-    training, found = _found(searched, training, start.parameters, held_for, options)
+    found = None
+    if held_for:  # a scale that is held wrongly may look like a second effect: ask after the first
+        training, found = _searched_and_told(searched, training, None, 1, start.parameters, options)
+    training, found = _searched_and_told(
+        searched, training, found, options.most_effects, start.parameters, options
+    )
     progress("comparing rivals", options.share_done(options.most_effects))
     found = compared(found, table.named, training, options)
     found = with_simpler_laws(found, table.named, training, options)
@@ -202,42 +207,41 @@ def _traced(
     before, after = (
         _reported(point, records, begins, reported) for point in (declared, found.point)
     )
-    held = notes_on_held(found.point, held_for)
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors,
         before, after, last.rows, last.between, PERCENT * last.unseen, last.left_share,
         last.leaning, curves, sd, stated, limit_hz, fitted, reported,
-        (*notes, *held, *table.notes, *_at_limits(found.point), *_held(found.point)), options,
+        (
+            *notes, *notes_on_held(found.point, held_for), *table.notes,
+            *_at_limits(found.point), *_held(found.point),
+        ), options,
     )  # fmt: skip
 
 
-def _found(
+def _searched_and_told(
     searched: Callable[[Training, Searched | None, int], Searched],
     training: Training,
+    begun: Searched | None,
+    most: int,
     free: FreeParameters,
-    held_for: Mapping[str, str],
     options: SearchOptions,
 ) -> tuple[Training, Searched]:
-    """Return the result of a search, and the records with the weights and scales that it led to.
+    """Return what a search finds, and the records with the weights and scales that this tells.
 
     searched: a search from a begin, for so many effects. free: all that the model's file leaves
-    free. held_for: the parameters of these that are held.
+    free.
     """
-    found = None
-    # A scale that is held may be why a second effect seems to be there.
-    for most in (1, options.most_effects) if held_for else (options.most_effects,):
-        found = searched(training, found, most)
-        if found.rated and not training.weighs_what_is_left(found.point, options):
-            # What was missing may have been why the weights were refused, or most of them.
-            weighed, point = _weighed(training, found.point, found.rated, options)
-            if weighed is not training:
-                training, found = weighed, searched(weighed, replace(found, point=point), most)
-        told = told_after_all(found.point, free, training, options)
-        if told is not None:
-            training, point = told
-            found = searched(training, replace(found, point=point), most)
-    assert found is not None
+    found = searched(training, begun, most)
+    if found.rated and not training.weighs_what_is_left(found.point, options):
+        # What was missing may have been why the weights were refused, or most of them.
+        weighed, point = _weighed(training, found.point, found.rated, options)
+        if weighed is not training:
+            training, found = weighed, searched(weighed, replace(found, point=point), most)
+    told = freed_if_told(found.point, free, training, options)
+    if told is not None:
+        training, point = told
+        found = searched(training, replace(found, point=point), most)
     return training, found
 
 

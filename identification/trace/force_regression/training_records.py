@@ -402,15 +402,15 @@ class Training:
         return np.asarray(step[: len(low)] + scales @ step[len(low) :]), asked
 
     def _free_scales(self, at: Evaluated, changes: Sequence[Array]) -> Array:
-        """Return the change of all free numbers (C, equations free in their scale) that changes all
-        forces of such an equation in proportion.
+        """Return the ways of all free numbers (C, k) along which all forces of an equation change
+        in proportion, for each of the k equations whose terms are all free.
 
-        Errors relative to its forces do not see it, so that only another equation tells how far to
-        go. Beside the numbers' own columns, which grow as all of them become small, a fit would not
-        move along it.
+        Errors relative to these forces stay as they are, so only other equations tell how far to
+        go. The numbers' own columns grow as the numbers become small; damping relative to them
+        would stop a fit there, so each way is a column of its own.
         """
         found = []
-        for i in np.flatnonzero(np.isfinite(self.reference)):
+        for i in np.flatnonzero(np.isfinite(self.reference) & self.all_free):
             J = np.concatenate([c[..., i].reshape(len(c), -1) for c in changes], axis=1).T
             force = np.concatenate([g[..., i].reshape(-1) for g in at.groups])
             length = np.linalg.norm(J, axis=0)
@@ -476,7 +476,7 @@ def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[n
 
 
 def _room_along(ways: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return how far down and up to go ways (C, k) of all numbers within their room (C,).
+    """Return how far down and up each way (C, k) of all numbers stays within their room (C,): (k,).
 
     Down at most by half: at zero an equation says nothing.
     """

@@ -79,17 +79,23 @@ def traced(
     return trace_records(records, config, table, lambda *_: None)
 
 
+def assert_within_three_standard_errors(found: ForceTrace) -> None:
+    free = found.found.point.parameters
+    assert free.names == ("mt", "ml", "j", "d", "c")
+    errors = found.errors[: len(free.names)]  # then those of effects
+    off = np.abs(found.found.point.values - [MT, ML, J, D, C]) / errors
+    assert np.all(off < 3.0), dict(zip(free.names, off, strict=True))
+
+
 @pytest.mark.parametrize("seed", range(1, 7))
 def test_noise_does_not_make_the_numbers_of_such_an_equation_small(seed: int):
     """The noise is a tenth of the swing; absolute errors lead to numbers near zero together."""
     found = traced(seed, noise_rad=3e-3, table=lambda _places, _extent: [])
     assert not found.found.rated
+    assert_within_three_standard_errors(found)
     point = found.found.point
-    values = dict(zip(point.parameters.names, point.values.tolist(), strict=True))
-    errors = dict(zip(point.parameters.names, found.errors.tolist(), strict=False))
-    for name, true in (("mt", MT), ("ml", ML), ("j", J), ("d", D), ("c", C)):
-        assert abs(values[name] - true) < 3.0 * errors[name], name
-    assert values["ml"] == pytest.approx(ML, rel=0.1)
+    ml = point.values[point.parameters.names.index("ml")]
+    assert ml == pytest.approx(ML, rel=0.1)
 
 
 @pytest.mark.parametrize(("share", "is_told"), [(0.05, True), (0.002, False)])
@@ -162,9 +168,5 @@ def test_scale_that_is_told_once_a_friction_is_found_is_held_no_longer(seed: int
     (law,) = force_summary(found)["effects"]
     assert (law["class"], law["where"]) == ("friction", ["x"])
     assert law["parameters"]["friction"]["value"] == pytest.approx(0.8, rel=0.01)
-    point = found.found.point
-    values = dict(zip(point.parameters.names, point.values.tolist(), strict=True))
-    errors = dict(zip(point.parameters.names, found.errors.tolist(), strict=False))
-    for name, true in (("mt", MT), ("ml", ML), ("j", J), ("d", D), ("c", C)):
-        assert abs(values[name] - true) < 3.0 * errors[name], name
+    assert_within_three_standard_errors(found)
     assert not any("is held" in note for note in found.notes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -134,16 +135,22 @@ class DeclaredModel:
         Raises:
             ModelError: an unknown variable, a formula without a value, a singular M.
         """
+        return self._at(scheduling) if scheduling else self._as_declared
+
+    @cached_property
+    def _as_declared(self) -> SecondOrder:
+        return self._at({})
+
+    def _at(self, scheduling: Mapping[str, float]) -> SecondOrder:
         # Imported here because scipy.linalg takes 0.5 s to load and the daemon does not need it.
         from .second_order import SecondOrder
 
-        given = dict(scheduling or {})
-        unknown = set(given) - set(self.scheduling)
+        unknown = set(scheduling) - set(self.scheduling)
         if unknown:
             raise ModelError(
                 f"expected scheduling variables {sorted(self.scheduling)}, found {sorted(unknown)}"
             )
-        values = {**self.values, **self.scheduling, **given}
+        values = {**self.values, **self.scheduling, **scheduling}
         try:
             M = _evaluate(self.M, values)
             inverse_mass(M[None], {name: np.array([values[name]]) for name in self.scheduling})

@@ -79,6 +79,8 @@ class Expression:
         Raises:
             ExpressionError: an undeclared name, or a value that is not real and finite.
         """
+        if isinstance(self._tree, ast.Constant):  # finite, as most entries of most matrices
+            return np.asarray(self._tree.value, np.float64)
         try:
             with np.errstate(all="raise", under="ignore"):
                 found = np.asarray(_value(self._tree, values), np.float64)

@@ -213,8 +213,8 @@ def _on_input(  # noqa: PLR0911 - as above
     return u
 
 
-_dof_force = njit(_on_dof)
-_input_force = njit(_on_input)
+_dof_force = njit(cache=True)(_on_dof)
+_input_force = njit(cache=True)(_on_input)
 
 
 def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
@@ -304,4 +304,4 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
     return u, y, qs, ws, accelerations, effects
 
 
-_integrated = cast("Callable[..., tuple[Array, ...]]", njit(_integrate))
+_integrated = cast("Callable[..., tuple[Array, ...]]", njit(cache=True)(_integrate))

@@ -95,7 +95,7 @@ def _below(limit_hz: float, rng: np.random.Generator) -> Array:
     return np.asarray(x / x.std())
 
 
-@njit
+@njit(cache=True)
 def _fly(
     p: Array, wanted: Array, given: Array, force: Array, noise: Array, late: int, Ts_s: float,
     steps: int,

@@ -95,7 +95,7 @@ class Beam:
         return u[:, None], y[:, None], s[::STEPS]
 
 
-@njit
+@njit(cache=True)
 def _fly(p: Array, u: Array, s: Array, late: int, Ts_s: float, steps: int) -> Array:
     j, j_s, d, k, k_s, g_s, lever, cubic, stick = p
     q, w, h = g_s * s[0] / k, 0.0, Ts_s / steps
@@ -114,7 +114,7 @@ def _fly(p: Array, u: Array, s: Array, late: int, Ts_s: float, steps: int) -> Ar
     return found
 
 
-@njit
+@njit(cache=True)
 def _pull(push: float, d: float, k: float, cubic: float, stick: float, q: float, w: float) -> float:
     return push - d * w - k * q - cubic * q**3 - stick * np.tanh(w / 1e-3)
 

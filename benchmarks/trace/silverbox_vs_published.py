@@ -86,7 +86,7 @@ def _oscillate(
     return y
 
 
-_oscillated = cast("Callable[..., Array]", njit(_oscillate))
+_oscillated = cast("Callable[..., Array]", njit(cache=True)(_oscillate))
 
 
 class Oscillator:

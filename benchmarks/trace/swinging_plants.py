@@ -101,7 +101,7 @@ def _lagged(values: Array, lag_s: float, Ts_s: float, fine: int = 50) -> Array:
     return np.asarray(lfilter([half, half], [1.0, -left], between)[::fine])
 
 
-@njit
+@njit(cache=True)
 def _fly(u: Array, p: Array, Ts_s: float, steps: int) -> Array:
     m1, d1, k1, m2, d2, k2, h, w, lag_s, squared, cross, cog, pitch = p
     q, v, speed = np.zeros(2), np.zeros(2), u[0, 0]

@@ -108,7 +108,7 @@ class ForceRecord:
     noise_sd: Array
     multiplied: BandLimited
     schedule: Mapping[str, Array]
-    _matrices: list[tuple[DeclaredModel, SecondOrder, Matrices]] = field(
+    _matrices: list[tuple[DeclaredModel, SecondOrder, Matrices | None]] = field(
         default_factory=list, repr=False
     )
     _inputs: dict[tuple[float, float], Array] = field(default_factory=dict, repr=False)
@@ -235,16 +235,33 @@ class ForceRecord:
 
         Each includes the effects of its kind. The first less the others is what the model lacks.
         """
+        return self.bare_and_whole(point)[1]
+
+    def bare_and_whole(self, point: ForceModel) -> tuple[Array, Array]:
+        """Return `groups` without the model's effects, and with them."""
         model = point.model
         q, qd, qdd, _ = self.multiplied.kept_derivatives() if self.schedule else self.kept
         others = self._products(model, D=qd, K=q)
         if self.schedule:
             others = others - self.band.smoothed(model.moving_force(self.schedule))
-        groups = np.stack([self.input_force(model), self._products(model, M=qdd), others])
+        bare = np.stack([self.input_force(model), self._products(model, M=qdd), others])
+        bare = whole = bare * self.moves
         for p in point.placed:
             more = self._changes(point, p.effect, p.shape)
-            groups = groups + np.tensordot(np.array(p.amplitudes), more, 1)
-        return np.asarray(groups * self.moves)
+            whole = whole + np.tensordot(np.array(p.amplitudes), more, 1)
+        return bare, whole
+
+    def change(self, low: ForceModel, high: ForceModel) -> Array:
+        """Return how `groups` change (3, rows, n) between two models with the same effects."""
+        bare = [self.bare_and_whole(replace(p, placed=()))[0] for p in (low, high)]
+        change = bare[1] - bare[0]
+        later = self._timing(low.model) != self._timing(high.model)
+        for p in low.placed:
+            parts = self._parts_of(low, p.effect, p.shape, keep=False, passed=False)
+            if later or any(held is not None or false is not None for _, held, false in parts):
+                one, other = (self._changes(at, p.effect, p.shape) for at in (low, high))
+                change = change + np.tensordot(np.array(p.amplitudes), other - one, 1)
+        return np.asarray(change)
 
     def acting_force(self, point: ForceModel) -> Array:
         """Return the force of the inputs (rows, n) without its mean.
@@ -304,16 +321,17 @@ class ForceRecord:
     def _products(self, model: DeclaredModel, **signals: Array) -> Array:
         """Return the sum (rows, n) of matrices times signals of `multiplied`, by the matrix."""
         mean, along = self._at(model)
-        if not self.schedule:
+        if along is None:
             return np.asarray(sum(x @ getattr(mean, name).T for name, x in signals.items()))
         products = (np.einsum("nij,nj->ni", getattr(along, name), x) for name, x in signals.items())
         return self.band.smoothed(np.asarray(sum(products)))
 
-    def _at(self, model: DeclaredModel) -> tuple[SecondOrder, Matrices]:
-        """Return the matrices of a model at the mean schedule, and along it."""
+    def _at(self, model: DeclaredModel) -> tuple[SecondOrder, Matrices | None]:
+        """Return the matrices of a model at the mean schedule, and along one that moves."""
         if not self._matrices or self._matrices[0][0] is not model:
             mean = model.at(self.band.schedule)
-            self._matrices[:] = [(model, mean, model.over(self.schedule))]
+            along = model.over(self.schedule) if self.schedule else None
+            self._matrices[:] = [(model, mean, along)]
         return self._matrices[0][1:]
 
     def _timing(self, model: DeclaredModel) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil, log2
 
@@ -30,6 +30,8 @@ HALVINGS = ceil(-log2(SearchOptions.accuracy))
 _HOPELESS = SearchOptions.least_gain
 _CONVERGED = DIFFERENCE
 """Share of the squared residual that a step must take for another one."""
+_KEPT = 2
+"""Points of which the forces are kept."""
 _DELAYS = (-2, -1, 1, 2, SearchOptions.resolved)
 """Delays in rows, beside the model's own, from which a first fit starts."""
 
@@ -80,6 +82,8 @@ class Training:
     scale: Array
     reference: Array
     all_free: NDArray[np.bool_]
+    _evaluated: list[Evaluated] = field(init=False, repr=False, default_factory=list)
+    """The last ones: a step begins where the cost was asked, and two ends of fits are compared."""
 
     @classmethod
     def unscaled(
@@ -92,12 +96,18 @@ class Training:
 
     def at(self, point: ForceModel) -> Evaluated:
         """Return the missing force of a model, and the forces that it consists of."""
-        groups = self._weighed(r.groups(point) for r in self.records)
+        known = next((e for e in self._evaluated if e.point is point), None)
+        if known is None:
+            known = self._at(point)
+            self._evaluated[:] = [known, *self._evaluated[: _KEPT - 1]]
+        return known
+
+    def _at(self, point: ForceModel) -> Evaluated:
+        both = self._weighed(np.stack(r.bare_and_whole(point)) for r in self.records)
+        bare, groups = [b for b, _ in both], [g for _, g in both]
         power = self._power(groups)
-        share, bare = np.ones(len(power)), groups
+        share = np.ones(len(power))
         if point.placed:
-            alone = replace(point, placed=())
-            bare = self._weighed(r.groups(alone) for r in self.records)
             plain = self._power(bare)
             ratio = np.divide(plain, power, out=np.ones(len(power)), where=power > 0.0)
             share = np.sqrt(np.maximum(ratio, 1.0))
@@ -210,7 +220,7 @@ class Training:
         for r in self.records:
             changes = np.zeros((len(pairs), len(GROUPS), *r.kept[0].shape))
             for i, (low, high) in enumerate(pairs):
-                changes[i] = (r.groups(high) - r.groups(low)) / (2 * DIFFERENCE)
+                changes[i] = r.change(low, high) / (2 * DIFFERENCE)
             found.append(changes)
         return self._weighed(found)
 

@@ -22,7 +22,7 @@ from levid.model.effects.base import Effect, Signals
 
 Array = NDArray[np.float64]
 
-TS_S, ROWS = 2e-3, 6000
+TS_S, ROWS = 2e-3, 3000
 M, D, K = np.diag([2.0, 0.5]), np.diag([8.0, 3.0]), np.diag([1500.0, 900.0])
 TWO = """
 levid: model

@@ -213,6 +213,23 @@ def _on_input(  # noqa: PLR0911 - as above
     return u
 
 
+def _set_acceleration(
+    a: Array, arrays: tuple[Array, ...], F: Array, q: Array, w: Array, extra: Array
+) -> None:
+    """Set the acceleration (n,); products of small matrices would each allocate their result."""
+    Minv, D, K, B, _, _ = arrays
+    a[:] = 0.0
+    for i in range(len(a)):
+        force = extra[i]
+        for j in range(len(F)):
+            force += B[i, j] * F[j]
+        for j in range(len(a)):
+            force -= D[i, j] * w[j] + K[i, j] * q[j]
+        for j in range(len(a)):
+            a[j] += Minv[j, i] * force
+
+
+_accelerate = njit(cache=True)(_set_acceleration)
 _dof_force = njit(cache=True)(_on_dof)
 _input_force = njit(cache=True)(_on_input)
 
@@ -221,13 +238,14 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
     v: Array, noise: Array, Ts_s: float, steps: int, arrays: tuple[Array, ...],
     kinds: NDArray[np.int64], places: NDArray[np.int64], four: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array]:  # fmt: skip
-    Minv, D, K, B, kp, kd = arrays
+    Minv, _, _, B, kp, kd = arrays
     rows, m, n, h = v.shape[0], v.shape[1], len(Minv), Ts_s / steps
     u, y, qs = np.zeros((rows, m)), np.zeros((rows, n)), np.zeros((rows, n))
     ws, accelerations, effects = np.zeros_like(y), np.zeros_like(y), np.zeros_like(y)
     q, w, last, before = np.zeros(n), np.zeros(n), noise[0].copy(), np.zeros(m)
     lagged, hung, hung_w = 0.0, 0.0, 0.0
-    F, extra = np.zeros(m), np.zeros(n)
+    F, extra, a = np.zeros(m), np.zeros(n), np.zeros(n)
+    q_mid, w_mid = np.zeros(n), np.zeros(n)
     for row in range(rows):
         y[row] = q + noise[row]
         for e in range(len(kinds)):
@@ -236,7 +254,8 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
         u[row] = v[row] - kp @ y[row] - kd @ (y[row] - last)
         last = y[row].copy()
         for step in range(steps):
-            q_mid, w_mid, hung_mid, hung_w_mid, lag_mid = q, w, hung, hung_w, lagged
+            q_mid[:], w_mid[:] = q, w
+            hung_mid, hung_w_mid, lag_mid = hung, hung_w, lagged
             for half in range(2):
                 F[:] = u[row]
                 extra[:] = 0.0
@@ -284,22 +303,28 @@ def _integrate(  # noqa: PLR0912, PLR0915 - compiled as one loop
                         pull += s[3] * hung_w_mid
                     elif kind not in (Kind.NONE, Kind.DRIFTING_MASS, Kind.BENT):
                         extra[place] += _dof_force(kind, s, q_mid[place], w_mid[place], t_s)
-                a = Minv @ (B @ F - D @ w_mid - K @ q_mid + extra)
+                _accelerate(a, arrays, F, q_mid, w_mid, extra)
                 for e in range(len(kinds)):
                     if kinds[e] == Kind.DRIFTING_MASS:
                         place, more = places[e], four[e, 0] * t_s
                         own = a[place] / (1.0 + more * Minv[place, place])
-                        a = a - more * own * Minv[:, place]
+                        a -= more * own * Minv[:, place]
                         extra[place] -= more * own
                 part = 0.5 * h if half == 0 else h
-                q_mid, w_mid = q + part * w_mid, w + part * a
+                for i in range(n):
+                    q_mid[i] = q[i] + part * w_mid[i]
+                    w_mid[i] = w[i] + part * a[i]
                 hung_mid, hung_w_mid = hung + part * hung_w_mid, hung_w - part * pull
                 lag_mid = lagged + part * lag_rate
-            qs[row] += 0.5 * (q + q_mid) / steps
-            ws[row] += 0.5 * (w + w_mid) / steps
-            accelerations[row] += (w_mid - w) / Ts_s
-            effects[row] += (extra + B @ (F - u[row])) / steps
-            q, w, hung, hung_w, lagged = q_mid, w_mid, hung_mid, hung_w_mid, lag_mid
+            for i in range(n):
+                qs[row, i] += 0.5 * (q[i] + q_mid[i]) / steps
+                ws[row, i] += 0.5 * (w[i] + w_mid[i]) / steps
+                accelerations[row, i] += (w_mid[i] - w[i]) / Ts_s
+                effects[row, i] += extra[i] / steps
+                for j in range(m):
+                    effects[row, i] += B[i, j] * (F[j] - u[row, j]) / steps
+            q[:], w[:] = q_mid, w_mid
+            hung, hung_w, lagged = hung_mid, hung_w_mid, lag_mid
         before[:] = u[row]
     return u, y, qs, ws, accelerations, effects
 

@@ -49,7 +49,7 @@ _RECENT = 2 * SearchOptions.steps
 shapes of its differences, and with other delays."""
 Key = TypeVar("Key")
 Value = TypeVar("Value")
-_Part = tuple[Array | None, Array | None, tuple[Array, Array, Array] | None]
+Part = tuple[Array | None, Array | None, tuple[Array, Array, Array] | None]
 """Filtered force, commands, and reading error with two derivatives of one term."""
 
 
@@ -112,8 +112,8 @@ class ForceRecord:
         default_factory=list, repr=False
     )
     _inputs: dict[tuple[float, float], Array] = field(default_factory=dict, repr=False)
-    _parts: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
-    _recent: dict[tuple[object, ...], list[_Part]] = field(default_factory=dict, repr=False)
+    _parts: dict[tuple[object, ...], list[Part]] = field(default_factory=dict, repr=False)
+    _recent: dict[tuple[object, ...], list[Part]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -301,7 +301,7 @@ class ForceRecord:
 
         passed: whether with what the later parts of an actuator make of it.
         """
-        model, kind = point.model, 1 if effect.effect_class in _INERTIA else 2
+        model, kind = point.model, group_of(effect)
         parts = self._parts_of(point, effect, shape, keep, passed)
         changes = np.zeros((len(parts), len(GROUPS), *self.kept[0].shape))
         for i, (plain, held, false) in enumerate(parts):
@@ -313,6 +313,15 @@ class ForceRecord:
                 changes[i, 1] -= self._products(model, M=false[2])
                 changes[i, 2] -= self._products(model, D=false[1], K=false[0])
         return np.asarray(changes * self.moves)
+
+    def parts(
+        self, point: ForceModel, effect: Effect, shape: tuple[float, ...], keep: bool = False
+    ) -> list[Part]:
+        """Return the filtered signals of each amplitude that `group_changes` consists of.
+
+        Signals that are kept are the same list as before.
+        """
+        return self._parts_of(point, effect, shape, keep, passed=True)
 
     def force_of_command(self, model: DeclaredModel, held: Array) -> Array:
         """Return the force (rows, n) of additions to the inputs (N, p)."""
@@ -346,7 +355,7 @@ class ForceRecord:
         shape: tuple[float, ...],
         keep: bool,
         passed: bool,
-    ) -> list[_Part]:
+    ) -> list[Part]:
         delay_s, lag_s = self._timing(point.model)
         chain = beside(effect, point.placed)
         if all(p.effect.identity == effect.identity for p in chain):
@@ -420,13 +429,18 @@ class ForceRecord:
             found.append(force)
         return found
 
-    def _part(self, term: Term, delay_s: float, lag_s: float) -> _Part:
+    def _part(self, term: Term, delay_s: float, lag_s: float) -> Part:
         band, many = self.band, self.multiplied
         return (
             None if term.force is None else band.smoothed(term.force),
             None if term.held is None else many.input(delay_s, lag_s, term.held),
             None if term.gap is None else many.smoothed_derivatives(term.gap @ self.decoupling.T),
         )
+
+
+def group_of(effect: Effect) -> int:
+    """Return the index in `groups` of the force of an effect, if it acts by a force alone."""
+    return 1 if effect.effect_class in _INERTIA else 2
 
 
 def _empty() -> dict[str, Any]:

@@ -15,7 +15,7 @@ from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
 from ...rounding import DIFFERENCE, ROUNDING, TINY, basis_of
 from ..search_options import SearchOptions
-from .force_record import GROUPS, ForceModel, ForceRecord
+from .force_record import GROUPS, ForceModel, ForceRecord, Part, group_of
 from .free_numbers import Shape, moved_by, numbers_of, room, shapes_beside, way
 from .held_out_gain import Blocks, Columns
 from .residual_whitening import Whitening
@@ -60,6 +60,15 @@ class Evaluated:
 
 
 @dataclass(frozen=True)
+class _Kept:
+    """Signals of an effect that is a force alone, of each record, and its weighed forces
+    (amplitudes, rows, n), which no number of the model changes."""
+
+    parts: list[list[Part]]
+    forces: list[Array]
+
+
+@dataclass(frozen=True)
 class Training:
     """The training records with their weights and blocks; columns are free of each record's mean.
 
@@ -82,6 +91,7 @@ class Training:
     scale: Array
     reference: Array
     all_free: NDArray[np.bool_]
+    _kept: dict[tuple[str, Shape], _Kept] = field(init=False, repr=False, default_factory=dict)
     _evaluated: list[Evaluated] = field(init=False, repr=False, default_factory=list)
     """The last ones: a step begins where the cost was asked, and two ends of fits are compared."""
 
@@ -124,8 +134,26 @@ class Training:
         forces: of each record (amplitudes, rows, n). pull (amplitudes, n): relative change of the
         root of the power by each. keep: whether filtered signals are kept for the next call.
         """
-        changes = (r.group_changes(at.point, effect, shape, keep) for r in self.records)
-        return self._forces_of(at, self._weighed(changes))
+        if not keep:
+            own = (r.group_changes(at.point, effect, shape) for r in self.records)
+            return self._forces_of(at, self._weighed(own))
+        parts = [r.parts(at.point, effect, shape, keep) for r in self.records]
+        known = self._kept.get((effect.identity, shape))
+        if known is None or any(a is not b for a, b in zip(known.parts, parts, strict=True)):
+            changes = self._weighed(
+                r.group_changes(at.point, effect, shape, keep) for r in self.records
+            )
+            own_parts = [part for of_record in parts for part in of_record]
+            if any(held is not None or false is not None for _, held, false in own_parts):
+                return self._forces_of(at, changes)
+            known = _Kept(parts, [-c[:, group_of(effect)] for c in changes])
+            self._kept[effect.identity, shape] = known
+        scale = self.scale[group_of(effect)]
+        along = sum(
+            np.sum(f * (g[group_of(effect)] * scale), axis=1)
+            for f, g in zip(known.forces, at.groups, strict=True)
+        )
+        return [at.share * f for f in known.forces], -along / np.maximum(at.power, TINY)
 
     def _forces_of(self, at: Evaluated, changes: Sequence[Array]) -> tuple[list[Array], Array]:
         forces = [at.share * (c[:, 0] - c[:, 1] - c[:, 2]) for c in changes]

@@ -18,8 +18,8 @@ from ..plotting.labelled_frequency_responses import (
     SignalLabels,
     inside,
 )
-from ..plotting.panel_grid import legend_of, new_grid, plot_band, plot_curve
-from ..plotting.style import PAGE, Sheet, drawing, frequency_axis, log_ticks
+from ..plotting.panel_grid import legend_of, name_panel, new_grid, plot_band, plot_curve
+from ..plotting.style import PAGE, Sheet, drawing, log_ticks
 
 Array = NDArray[np.float64]
 _Kind = Literal["magnitude", "phase"]
@@ -94,9 +94,9 @@ def _bode(
         for (row, j), ax in grid.panels():
             i, place = divmod(row, len(kinds))
             if kinds[place] == "magnitude":
-                _magnitude_panel(ax, shown, signals, (i, j), limits[i][j])
+                _magnitude_panel(ax, signals, (i, j), limits[i][j])
             else:
-                _phase_panel(ax, shown, "" if place else signals.path(i, j))
+                _phase_panel(ax, "" if place else signals.path(i, j))
             draw = _draw_magnitude if kinds[place] == "magnitude" else _draw_phase
             for curve in (*truth, *curves):
                 draw(ax, curve, i, j)
@@ -105,23 +105,16 @@ def _bode(
 
 
 def _magnitude_panel(
-    ax: Axes,
-    shown: Range,
-    signals: SignalLabels,
-    path: tuple[int, int],
-    limits: tuple[float, float],
+    ax: Axes, signals: SignalLabels, path: tuple[int, int], limits: tuple[float, float]
 ) -> None:
-    frequency_axis(ax, (shown.low_hz, shown.high_hz))
     log_ticks(ax, "y", limits)
-    ax.set_title(signals.path(*path))
-    ax.set_title(signals.gain_unit(*path), loc="right", fontweight="normal")
+    name_panel(ax, signals.path(*path), signals.gain_unit(*path))
 
 
-def _phase_panel(ax: Axes, shown: Range, title: str) -> None:
-    frequency_axis(ax, (shown.low_hz, shown.high_hz))
+def _phase_panel(ax: Axes, title: str) -> None:
     ax.set_ylim(-300, 60)
     ax.set_yticks([-270, -180, -90, 0], ["−270°", "−180°", "−90°", "0°"])
-    ax.set_title(title)
+    name_panel(ax, title)
 
 
 def _draw_magnitude(ax: Axes, curve: Curve, i: int, j: int) -> None:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from ..plotting.labelled_frequency_responses import RIG, Curve, Range, SignalLabels, inside
-from ..plotting.panel_grid import legend_of, new_grid, plot_curve
-from ..plotting.style import PAGE, Sheet, drawing, frequency_axis
+from ..plotting.panel_grid import legend_of, name_panel, new_grid, plot_curve
+from ..plotting.style import PAGE, Sheet, drawing
 
 
 def coherence(
@@ -19,10 +19,9 @@ def coherence(
     with drawing(sheet):
         grid = new_grid(signals.shape, sheet, 1.25, legend_of(curves, shown=shown))
         for (i, j), ax in grid.panels():
-            frequency_axis(ax, (shown.low_hz, shown.high_hz))
             ax.set_ylim(0, 1.05)
             ax.set_yticks([0, 0.5, 1])
-            ax.set_title(signals.path(i, j))
+            name_panel(ax, signals.path(i, j))
             for curve in curves:
                 plot_curve(ax, curve, curve.response[:, i, j].real, faint=i != j)
         grid.finish_frequency(shown)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
 from ..plotting.labelled_frequency_responses import RIG, Curve, Range, SignalLabels, inside, pooled
-from ..plotting.panel_grid import entry, new_grid, plot_curve
-from ..plotting.style import PAGE, LineStyle, Sheet, colour, drawing, frequency_axis, log_ticks
+from ..plotting.panel_grid import entry, name_panel, new_grid, plot_curve
+from ..plotting.style import PAGE, LineStyle, Sheet, colour, drawing, log_ticks
 
 Array = NDArray[np.float64]
 
@@ -119,14 +119,13 @@ def response_with_distortion(
         ]
         grid = new_grid(signals.shape, sheet, _ROW_IN, legend)
         for (i, j), ax in grid.panels():
-            ax.set_title(signals.path(i, j))
-            ax.set_title(signals.gain_unit(i, j), loc="right", fontweight="normal")
+            name_panel(ax, signals.path(i, j), signals.gain_unit(i, j))
             magnitude = plant.response[:, i, j].real
             plot_curve(ax, plant, _positive(magnitude))
             ax.plot(pooled_hz, _positive(noise[:, i, j]), **NOISE.keywords())
             ax.plot(pooled_hz, _positive(all_errors[:, i, j]), **ALL_ERRORS.keywords())
             drawn = np.concatenate([magnitude, noise[:, i, j], all_errors[:, i, j]])
-            _scale(ax, drawn, shown)
+            _scale(ax, drawn)
         grid.finish_frequency(shown)
     return grid.figure
 
@@ -163,14 +162,13 @@ def detection_levels(
                 ax.plot(freq_hz, _positive(level[:, i]), **dots.keywords())
             ax.plot(noise_hz, _positive(floor[:, i]), **NOISE.keywords())
             drawn = [floor[:, i], *(level[:, i] for _, (_, level), _ in parts)]
-            _scale(ax, np.concatenate(drawn), shown)
+            _scale(ax, np.concatenate(drawn))
         grid.finish_frequency(shown)
     return grid.figure
 
 
-def _scale(ax: Axes, drawn: Array, shown: Range) -> None:
-    """Scale the axes to the range and to the values in it."""
-    frequency_axis(ax, (shown.low_hz, shown.high_hz))
+def _scale(ax: Axes, drawn: Array) -> None:
+    """Scale the vertical axis to the values."""
     values = drawn[np.isfinite(drawn) & (drawn > 0)]
     top = float(values.max()) if values.size else 1.0
     bottom = float(values.min()) if values.size else 0.1

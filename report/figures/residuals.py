@@ -22,7 +22,6 @@ from ..plotting.style import (
     Sheet,
     colour,
     drawing,
-    frequency_axis,
     log_ticks,
 )
 
@@ -81,7 +80,6 @@ def residual_spectra(
                 f, level = pooled(residuals[row].freq_hz, np.sqrt(psd[:, i]), shown)
                 ax.plot(f, np.where(level > 0, level, np.nan), **line.keywords())
                 drawn.append(level)
-            frequency_axis(ax, (shown.low_hz, shown.high_hz))
             _scale(ax, np.concatenate(drawn))
             unit = units[i] if units[i] not in ("", "1") else "1"
             ax.set_title(f"{unit}/√Hz", loc="right", fontweight="normal")

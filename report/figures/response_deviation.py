@@ -20,7 +20,7 @@ from ..plotting.labelled_frequency_responses import (
     inside,
 )
 from ..plotting.panel_grid import entry, new_grid, plot_curve
-from ..plotting.style import BOUND, PAGE, Sheet, colour, drawing, frequency_axis
+from ..plotting.style import BOUND, PAGE, Sheet, colour, drawing
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -138,7 +138,6 @@ def deviation(
             reach = min(max(1.3 * bound, 1.15 * largest_error), 4 * bound)
             if not near:
                 reach = max(1.3 * largest_error, 1e-6 * bound)
-            frequency_axis(ax, (shown.low_hz, shown.high_hz))
             ax.set_ylim(-reach, reach)
             ax.axhline(0, color=colour("edge"), linewidth=0.8, zorder=1)
             if near:

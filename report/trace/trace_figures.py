@@ -25,7 +25,6 @@ from ..plotting.style import (
     Sheet,
     colour,
     drawing,
-    frequency_axis,
     log_ticks,
 )
 
@@ -110,7 +109,6 @@ def error_spectra(
                 visible = (level > 0) & np.isfinite(level)
                 ax.plot(f, np.where(visible, level, np.nan), **line.keywords())
                 drawn.append(level[visible])
-            frequency_axis(ax, (shown.low_hz, shown.high_hz))
             levels = np.concatenate(drawn)
             if levels.size:
                 top = 1.6 * float(levels.max())

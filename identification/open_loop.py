@@ -58,7 +58,6 @@ class _Fitted:
 
     simulator: RefinedModel | None
     predictor: InnovationModel | None
-    predictor_fit: RefinedModel | None
 
 
 def identify_open_loop(
@@ -86,6 +85,7 @@ def identify_open_loop(
     part_stops = [stop - round(VALIDATION_SHARE * stop) for stop in stops]
 
     _check_outputs([r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)])
+    spectra = _spectra(training, options)
     impulse = _impulse_length(training, part_stops, options)
     trial, simulated, predicted = _by_order(training, part_stops, impulse.taps, options, progress)
     cost = _state_cost(training)
@@ -93,23 +93,21 @@ def identify_open_loop(
     order = options.order or (_smallest_good(simulated, cost) if simulated else predictor_order)
 
     starts = starting_models(training, impulse.taps, options.markov, HIGHEST_ORDER)
-    final = _fitted(order, starts, training, [trial[order]])
+    simulator = _fitted_simulator(order, starts, training, trial[order])
     progress(0.9)
-    ahead = (
-        final
+    alike = (
+        simulator
         if predictor_order == order
-        else _fitted(predictor_order, starts, training, [trial[predictor_order]])
+        else _fitted_simulator(predictor_order, starts, training, trial[predictor_order])
     )
-    if ahead.predictor is None or ahead.predictor_fit is None:
-        raise IdentificationError(
-            f"expected a predictor of order {predictor_order}, found none; choose another order"
-        )
-    fit = final.simulator or ahead.predictor_fit
+    predictor, predictor_fit = _fitted_predictor(
+        predictor_order, starts, training, trial[predictor_order], alike
+    )
+    fit = simulator or predictor_fit
     stable = spectral_radius(fit.model.A) < 1.0
-    spectra = _spectra(training, options)
     mode_lists = (
         modes(fit.model, fit.covariance),
-        modes(ahead.predictor.model, ahead.predictor_fit.covariance),
+        modes(predictor.model, predictor_fit.covariance),
     )
     return OpenLoopPoint(
         beam_m=point.beam_m,
@@ -129,12 +127,12 @@ def identify_open_loop(
         covariance=fit.covariance,
         stable=stable,
         modes=mode_lists[0],
-        predictor=ahead.predictor,
+        predictor=predictor,
         predictor_modes=mode_lists[1],
         response=response_with_errors(IdentifiedPlant(fit.model), fit.covariance, spectra.freq_hz),
         from_spectra=spectra,
         holdout=tuple(
-            _hold_out(original, record, stop, fit.model if stable else None, ahead.predictor)
+            _hold_out(original, record, stop, fit.model if stable else None, predictor)
             for original, record, stop in zip(records, centred, stops, strict=True)
         ),
         remarks=(
@@ -142,7 +140,7 @@ def identify_open_loop(
             *left_out_remarks(too_short),
             *([f"no Markov parameters: {starts.no_markov}"] if starts.no_markov else []),
             *([] if stable else [_UNSTABLE]),
-            *(disagreements(*mode_lists, ("simulation", "prediction")) if final.simulator else ()),
+            *(disagreements(*mode_lists, ("simulation", "prediction")) if simulator else ()),
         ),
     )
 
@@ -201,17 +199,34 @@ def _trial(order: int, starts: StartingModels, records: Sequence[Record]) -> _Fi
     for start in starts.predictors(order):
         found = refine_innovations(start, records, trial=True)
         if found is not None:
-            return _Fitted(simulator, *found)
-    return _Fitted(simulator, None, None)
+            return _Fitted(simulator, found[0])
+    return _Fitted(simulator, None)
 
 
-def _fitted(
-    order: int, starts: StartingModels, records: Sequence[Record], earlier: Sequence[_Fitted]
-) -> _Fitted:
-    """Return the best models of one order, from all starts and from earlier fits."""
-    simulators = [*starts.simulators(order), *(f.simulator.model for f in earlier if f.simulator)]
-    simulator = _best(refine_output_error(start, records) for start in simulators)
-    predictors = [*starts.predictors(order), *(f.predictor for f in earlier if f.predictor)]
+def _fitted_simulator(
+    order: int, starts: StartingModels, records: Sequence[Record], trial: _Fitted
+) -> RefinedModel | None:
+    """Return the best model of one order that simulates, from all starts and the trial's."""
+    simulators = list(starts.simulators(order))
+    if trial.simulator is not None:
+        simulators.append(trial.simulator.model)
+    return _best(refine_output_error(start, records) for start in simulators)
+
+
+def _fitted_predictor(
+    order: int,
+    starts: StartingModels,
+    records: Sequence[Record],
+    trial: _Fitted,
+    simulator: RefinedModel | None,
+) -> tuple[InnovationModel, RefinedModel]:
+    """Return the best predictor of one order, from all starts, the trial's, and the simulator.
+
+    Raises IdentificationError if there is none.
+    """
+    predictors = list(starts.predictors(order))
+    if trial.predictor is not None:
+        predictors.append(trial.predictor)
     if simulator is not None:
         # Noise of the sensors alone: a predictor that does not use the measured outputs.
         silent = np.zeros(simulator.model.C.T.shape)
@@ -221,7 +236,11 @@ def _fitted(
         found = refine_innovations(start, records)
         if found is not None and (best is None or found[1].criterion < best[1].criterion):
             best = found
-    return _Fitted(simulator, *(best or (None, None)))
+    if best is None:
+        raise IdentificationError(
+            f"expected a predictor of order {order}, found none; choose another order"
+        )
+    return best
 
 
 def _best(fits: Iterable[RefinedModel | None]) -> RefinedModel | None:

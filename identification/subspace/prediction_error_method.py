@@ -356,16 +356,16 @@ def _directions(model: StateSpace, direct: NDArray[np.bool_]) -> Array:
     """Return an orthonormal basis (r, n + m, n + p) of the changes that alter the response."""
     n, m, p = len(model.A), len(model.C), model.B.shape[1]
     # A change of coordinates T alters A by T A - A T, B by T B and C by -C T.
-    same = np.zeros((n * n, n + m, n + p))
-    for k in range(n * n):
-        T = np.zeros((n, n))
-        T.flat[k] = 1.0
-        same[k, :n, :n] = T @ model.A - model.A @ T
-        same[k, :n, n:] = T @ model.B
-        same[k, n:, :n] = -model.C @ T
+    # same[i, j] is that of T with a single one, in row i and column j.
+    same = np.zeros((n, n, n + m, n + p))
+    for i in range(n):
+        same[i, :, i, :n] += model.A
+        same[i, :, i, n:] = model.B
+        same[:, i, :n, i] -= model.A.T
+        same[:, i, n:, i] = -model.C.T
     free = np.ones((n + m, n + p), bool)
     free[n:, n:] = direct
-    kept = same[:, free]
+    kept = same.reshape(n * n, n + m, n + p)[:, free]
     Q = np.linalg.qr(kept.T, mode="complete")[0]
     basis = Q[:, n * n :].T
     found = np.zeros((len(basis), n + m, n + p))

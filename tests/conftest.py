@@ -148,6 +148,17 @@ def no_warnings() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def unwritten_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages have all figures, but as empty SVGs: writing one takes most of a page's time.
+
+    For tests of words and numbers; other tests write the figures of the same pages.
+    """
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: file.write("<svg></svg>"))
+
+
 class Outcome(NamedTuple):
     """What a command left: its exit code and what it printed."""
 

@@ -123,6 +123,7 @@ def test_result_is_pickled(found: levid.Identification) -> None:
     assert again.session.names == ("psi", "theta", "z")
 
 
+@pytest.mark.usefixtures("unwritten_figures")
 def test_json_equals_that_of_the_command(
     imported: levid.Session, measured: Path, tmp_path: Path, levid: Command
 ) -> None:

@@ -93,6 +93,7 @@ def test_session_still_flies_and_logs_each_field_as_before(
     np.testing.assert_array_equal(before.log_time_ns, after.log_time_ns)
 
 
+@pytest.mark.usefixtures("unwritten_figures")
 @old
 def test_log_is_still_identified(folder: Path, tmp_path: Path, levid: Callable) -> None:
     """The masses agree with those of the simulator within five standard errors."""
@@ -105,6 +106,7 @@ def test_log_is_still_identified(folder: Path, tmp_path: Path, levid: Callable) 
         assert found[name]["value"] == pytest.approx(true, abs=5 * found[name]["se"])
 
 
+@pytest.mark.usefixtures("unwritten_figures")
 @old
 def test_imported_log_is_still_identified(folder: Path, tmp_path: Path, levid: Callable) -> None:
     path = folder / "short-import.mcap"

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import zipfile
 from pathlib import Path
@@ -62,6 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("fuzz")
 
 
+@functools.cache
 def log_rows() -> np.ndarray:
     rows = np.zeros(300, DTYPE)
     rows["cycle"] = 100 + np.arange(300)
@@ -124,14 +126,18 @@ def test_archive_of_nonsense_gives_an_error_of_levid(folder, data, name) -> None
         read_variables(path, SIGNALS, load_npz(path))
 
 
+@pytest.fixture(scope="module")
+def mat() -> bytes:
+    file = io.BytesIO()
+    scipy.io.savemat(file, arrays(), do_compression=True)
+    return file.getvalue()
+
+
 @given(changes=CHANGES)
-def test_compressed_mat_file_gives_its_columns_or_an_error_of_levid(folder, changes) -> None:
+def test_compressed_mat_file_gives_its_columns_or_an_error_of_levid(mat, folder, changes) -> None:
     """In this process, where zlib's check keeps damage from scipy's reader: see its own tests."""
     path = folder / "changed.mat"
-    scipy.io.savemat(path, arrays(), do_compression=True)
-    data = bytearray(path.read_bytes())
-    tail = changed(bytes(data[136:]), changes)  # behind the header and the first tag
-    path.write_bytes(bytes(data[:136]) + tail)
+    path.write_bytes(mat[:136] + changed(mat[136:], changes))  # not the header and the first tag
     with contextlib.suppress(LogError, MemoryError):
         read_variables(path, SIGNALS, load_mat(path))
 

@@ -418,7 +418,7 @@ def test_plant_identified_in_the_loop_agrees_with_the_truth(rig, x_b_m: float) -
 SESSION = """
 levid: session
 name: multisine-short
-rate_hz: 1000
+rate_hz: RATE
 excitations:
   psi: {input: psi, rms_n_m: 0.32, signal: multisine, period_s: 8, band_hz: [0.5, 100], lines: odd_random_grid, rise_hz: 10}
   theta: {input: theta, rms_n_m: 0.32, signal: multisine, period_s: 8, band_hz: [0.5, 100], lines: odd_random_grid, rise_hz: 10}
@@ -437,22 +437,28 @@ steps:
 """  # noqa: E501
 
 
-def fly(out: Path, sim: str) -> list[Log]:
+def fly(out: Path, sim: str, rate_hz: int) -> list[Log]:
     rig_file = shipped("rigs/loopback.yaml")
     rig = load_rig(rig_file).model_copy(update={"sim": str(shipped(f"sims/{sim}.yaml"))})
-    session = parse_text(SESSION, SessionConfig, "session")
-    flown = fly_virtually(rig, rig_file, session, SESSION.encode(), out)
+    text = SESSION.replace("RATE", str(rate_hz))
+    session = parse_text(text, SessionConfig, "session")
+    flown = fly_virtually(rig, rig_file, session, text.encode(), out)
     return [read_log(path) for path in flown.logs]
 
 
 @pytest.fixture(scope="module")
 def nominal(tmp_path_factory: pytest.TempPathFactory) -> list[Log]:
-    return fly(tmp_path_factory.mktemp("nominal") / "logs", "nominal")
+    return fly(tmp_path_factory.mktemp("nominal") / "logs", "nominal", 500)
+
+
+@pytest.fixture(scope="module")
+def whole_record(nominal: list[Log]) -> PeriodicRecord:
+    return periodic_record(nominal[2])
 
 
 @pytest.fixture(scope="module")
 def nonlinear(tmp_path_factory: pytest.TempPathFactory) -> list[Log]:
-    return fly(tmp_path_factory.mktemp("rig") / "logs", "rig")
+    return fly(tmp_path_factory.mktemp("rig") / "logs", "rig", 1000)
 
 
 def both(logs: list[Log]) -> list[BestLinearApproximation]:
@@ -463,7 +469,7 @@ def both(logs: list[Log]) -> list[BestLinearApproximation]:
 def test_logs_without_orthogonal_multisines_are_skipped_by_name(nominal: list[Log]) -> None:
     records, skipped = periodic_records(nominal)
     assert [r.name for r in records] == ["whole", "half"]
-    assert records[0].v.shape == (6, 2, 8000, 3)
+    assert records[0].v.shape == (6, 2, 4000, 3)
     assert records[0].beam_m == pytest.approx(0.1, abs=1e-6)
     assert any("04-white.mcap: record 'white' has no orthogonal multisines" in s for s in skipped)
     with pytest.raises(NotPeriodicError, match="'white' has no orthogonal multisines"):
@@ -473,7 +479,7 @@ def test_logs_without_orthogonal_multisines_are_skipped_by_name(nominal: list[Lo
 def test_flown_linear_plant_agrees_with_the_truth_without_distortion(nominal: list[Log]) -> None:
     config = load_yaml(shipped("sims/nominal.yaml"), SimConfig)
     for found in both(nominal):
-        true = frequency_response(config, 0.1, found.freq_hz, 1000.0)
+        true = frequency_response(config, 0.1, found.freq_hz, 500.0)
         inside = np.abs(found.H - true) < found.radius()
         # 299 lines x 3 rows: the standard error is 0.7 %.
         assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
@@ -501,23 +507,25 @@ def test_hardening_spring_gives_odd_distortion_that_grows_with_amplitude(
     assert half.test().p_value[2] > 1e-6
 
 
-def test_truncated_log_gives_its_complete_realisations(nominal: list[Log]) -> None:
+def test_truncated_log_gives_its_complete_realisations(
+    nominal: list[Log], whole_record: PeriodicRecord
+) -> None:
     log = nominal[2]
-    begin, realisation = 3000, 3 * 3 * 8000
-    cut = replace(log, rows=log.rows[: begin + realisation + 5000])
+    begin, realisation = 1500, 3 * 3 * 4000
+    cut = replace(log, rows=log.rows[: begin + realisation + 2500])
     record = periodic_record(cut)
     assert record.realisations == 1
     assert "1 of 2 realisations are complete" in record.remarks
-    np.testing.assert_array_equal(record.y, periodic_record(log).y[:3])
+    np.testing.assert_array_equal(record.y, whole_record.y[:3])
     with pytest.raises(IncompleteError, match="one complete realisation of 72 s, found 71 s"):
-        periodic_record(replace(log, rows=log.rows[: begin + realisation - 1000]))
+        periodic_record(replace(log, rows=log.rows[: begin + realisation - 500]))
 
 
 def test_unusable_record_or_method_does_not_end_a_study(
     nominal: list[Log], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     half = nominal[3]
-    rows = {half.path: half.rows[:50_000]}  # 50 s of 72 s; record 'white' excites psi alone for 2 s
+    rows = {half.path: half.rows[:25_000]}  # 50 s of 72 s; record 'white' excites psi alone for 2 s
     logs = {log.path: replace(log, rows=rows.get(log.path, log.rows)) for log in nominal}
     monkeypatch.setattr(studies, "read_log", logs.__getitem__)
     found = studies.study(list(logs), lambda _log: None, Options())
@@ -539,11 +547,13 @@ def test_position_without_an_approximation_does_not_end_a_study() -> None:
 
 
 @pytest.mark.parametrize("skipped", [1, 40])
-def test_skipped_cycles_discard_only_their_realisation(nominal: list[Log], skipped: int) -> None:
-    log, complete = nominal[2], periodic_record(nominal[2])
+def test_skipped_cycles_discard_only_their_realisation(
+    nominal: list[Log], whole_record: PeriodicRecord, skipped: int
+) -> None:
+    log, complete = nominal[2], whole_record
     rows = log.rows.copy()
     # The plan waits during skipped cycles: the row after them is the next one of the plan.
-    rows["cycle"][20_000:] += skipped
+    rows["cycle"][10_000:] += skipped
     record = periodic_record(replace(log, rows=rows))
     assert (record.realisations, complete.realisations) == (1, 2)
     assert "1 of 2 realisations are complete, none of its periods skipped" in record.remarks

@@ -102,7 +102,11 @@ def test_bode_grids_omit_nan(broken):
     nothing = Curve("none", line_of(1), FREQ_HZ, np.full_like(response, broken))
     for draw in (bode_magnitude, bode_phase):
         drawn(draw([some, nothing], AXES))
-        drawn(draw([], AXES))
+
+
+@pytest.mark.parametrize("draw", [bode_magnitude, bode_phase])
+def test_bode_grids_without_curves(draw):
+    drawn(draw([], AXES))
 
 
 @pytest.mark.parametrize(("m", "p"), [(1, 1), (2, 2), (2, 1)])
@@ -171,10 +175,11 @@ def test_error_figure_draws_the_bounds_unless_all_errors_are_far_below(factor, n
 
 
 def test_panels_with_unreliable_curves_only_are_hatched():
-    doubtful = Curve("left, not to be trusted", DOUBTFUL, FREQ_HZ, resonances(FREQ_HZ))
-    for figure, hatched in (([doubtful], True), ([doubtful, curve()], False)):
+    signals = SignalLabels(("u",), ("N",), ("y",), ("m",))
+    doubtful = Curve("left, not to be trusted", DOUBTFUL, FREQ_HZ, resonances(FREQ_HZ, 1, 1))
+    for figure, hatched in (([doubtful], True), ([doubtful, curve(m=1, p=1)], False)):
         for draw in (bode_magnitude, bode_phase, deviation):
-            drawing = draw(figure, AXES)
+            drawing = draw(figure, signals)
             assert any(p.get_hatch() for p in drawing.axes[0].patches) == hatched
             assert "not to be trusted" in drawn(drawing)
 

@@ -32,7 +32,7 @@ from .point_force_conversion import forces, heights
 _WIDE = 3.0
 _CONTACTS = (-0.4, 0.0, 0.4)
 """Start positions of a contact over three standard deviations of the record with most motion."""
-_YIELDS, _YIELD_BOUNDS = (0.03, 0.3), (1e-4, 3.0)
+_YIELDS, _YIELD_BOUNDS = (0.03, 0.3, 1.0), (1e-4, 3.0)
 """Start values and bounds of the deflection within which a preload is reached, over the standard
 deviation of the motion. With a longer one the force would be that of a linear spring."""
 _LEVELING = {

@@ -13,6 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ....model.effects.actuator_chain import delayed, same_law
 from ....model.effects.base import Effect, Placed
 from ..search_options import SearchOptions
@@ -20,6 +22,7 @@ from .candidate_fit import Beside
 from .compare_fitted_candidates import fitted_rivals
 from .force_record import ForceModel
 from .free_form_of_law_signal import described_laws
+from .gain_beyond_output_noise import taken_beyond_noise
 from .rated_candidate import (
     Rated,
     by_gain,
@@ -290,7 +293,8 @@ def _with_best(
     for chosen, stayed in rivals:
         point = training.fit(stayed)  # of a rival that stayed behind, it ended early
         lowered = before - missing_share(plain.at(point))
-        if lowered.max() > options.least_force:
+        beyond = taken_beyond_noise(state.point, point, training, options)
+        if np.any(beyond & (lowered > options.least_force)):
             rated = _without_replaced(state, first)
             others = _distinct_choices(state, chosen, rivals, rated, training, point, options)
             rated[chosen.placed.effect.identity] = chosen

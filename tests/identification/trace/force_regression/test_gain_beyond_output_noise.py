@@ -1,0 +1,86 @@
+"""Test that a law which only keeps an output's noise out of an equation takes nothing there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from levid.benchmarks.trace.imported_plant_cases import declared
+from levid.benchmarks.trace.imported_plant_effects import case
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.trace.force_regression import trace_imported
+from levid.identification.trace.force_regression.force_record import ForceModel
+from levid.identification.trace.force_regression.gain_beyond_output_noise import taken_beyond_noise
+from levid.identification.trace.force_regression.trace_imported import trace_records
+from levid.identification.trace.force_regression.training_records import Training
+from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.identification.trace.search_options import SearchOptions
+from levid.model.effects.base import Effect, Placed, Places
+from levid.model.effects.candidate_effects import all_effects
+from levid.model.effects.operating_range import Extent
+
+SEED, OPTIONS = 3, SearchOptions()
+
+
+@dataclass(frozen=True)
+class Geared:
+    """Records of a motor that drives a load by a soft shaft and hits a stop, and models of them.
+
+    Outputs are the angles of the motor and of the shaft's twist. declared, with_stop: their fits.
+    """
+
+    training: Training
+    declared: ForceModel
+    with_stop: ForceModel
+    load: Effect
+
+    def squares(self, point: ForceModel) -> float:
+        """Return the squared missing force of the motor."""
+        return float(sum(np.sum(m[:, 0] ** 2) for m in self.training.at(point).missing))
+
+    def taken(self, before: ForceModel, after: ForceModel) -> bool:
+        return bool(taken_beyond_noise(before, after, self.training, OPTIONS)[0])
+
+
+@pytest.fixture(scope="module")
+def geared() -> Geared:
+    drawn = case("geared", "stop", SEED)
+    config, _ = declared(drawn.plant, np.random.default_rng(SEED), False)
+    u, y = drawn.motion.u, drawn.motion.y
+    record = Experiment("r", drawn.plant.Ts_s, u, y, {}, frozenset(), False, feedback=True)
+    laws: dict[str, Effect] = {}
+
+    def none_but_kept(places: Places, covered: Extent) -> list[Effect]:
+        laws.update({e.identity: e for e in all_effects(places, covered)})
+        return []
+
+    records = [imported_trace_record(record, config)]
+    trace = trace_records(records, config, none_but_kept, lambda *_: None)
+    training, point, _ = trace_imported._unweighed(
+        trace.declared, trace.fitted, trace.limit_hz, trace.options
+    )
+    training, point = trace_imported._weighed(training, point, (), trace.options)
+    k, q0 = map(float, drawn.effects[0].numbers)
+    stop = Placed(laws["stiffness.one_sided@motor"], (q0,), (k,))
+    with_stop = training.fit(replace(point, placed=(stop,)))
+    return Geared(training, point, with_stop, laws["flexible_mode.load@motor"])
+
+
+def test_a_stop_takes_more_than_noise(geared: Geared) -> None:
+    assert geared.squares(geared.with_stop) < 0.9 * geared.squares(geared.declared)
+    assert geared.taken(geared.declared, geared.with_stop)
+
+
+def test_a_load_in_the_place_of_the_one_that_is_measured_takes_noise_only(geared: Geared) -> None:
+    """It moves as the motor makes it move: the noise of the twist is no part of that."""
+    right = geared.with_stop
+    values = dict(zip(right.parameters.names, right.values.tolist(), strict=True))
+    j, rate = values["j_2"], np.sqrt(values["k_c"] / values["j_2"])
+    numbers = rate / (2.0 * np.pi), 0.5 * values["d_c"] / (j * rate), values["d_2"] / j
+    small = {name: 0.05 * values[name] for name in ("j_2", "d_2", "d_c", "k_c")}
+    placed = (*right.placed, Placed(geared.load, numbers, (0.95 * j,)))
+    instead = replace(right.with_values(np.array([*(values | small).values()])), placed=placed)
+    assert geared.squares(instead) < 0.5 * geared.squares(right)
+    assert not geared.taken(right, instead)

@@ -186,7 +186,8 @@ def _with_two_at_once(
     if after is None:
         return None
     both = _without_idle(after, training, options)
-    return both if len(both.rated) == len(after.rated) > len(state.rated) + 1 else None
+    more = len(both.rated) == len(after.rated) > len(state.rated) + 1
+    return both if more and _takes_force(state.point, both.point, training, options) else None
 
 
 def _contradicted(ranking: Sequence[Rated], options: SearchOptions) -> Rated | None:
@@ -227,9 +228,18 @@ def _confirmed_where_it_fits(
     after = _with_best(there, ranking, named, training, options)
     if after is None:
         return None
+    return after if _takes_force(state.point, after.point, training, options) else None
+
+
+def _takes_force(
+    before: ForceModel, after: ForceModel, training: Training, options: SearchOptions
+) -> bool:
+    """Return whether a fitted model lacks less force than another one, by what matters, and not
+    only as it has less of the outputs' noise."""
     plain = training.plain()
-    lowered = missing_share(plain.at(state.point)) - missing_share(plain.at(after.point))
-    return after if lowered.max() > options.least_force else None
+    lowered = missing_share(plain.at(before)) - missing_share(plain.at(after))
+    beyond = taken_beyond_noise(before, after, training, options)
+    return bool(np.any(beyond & (lowered > options.least_force)))
 
 
 def _with_another_choice(
@@ -282,8 +292,6 @@ def _with_best(
     options: SearchOptions,
 ) -> _State | None:
     """Return the state with the best confirmed candidate whose fit does what was foretold."""
-    plain = training.plain()
-    before = missing_share(plain.at(state.point))
     first = next((r for r in ranking if confirmed(r, options)), None)
     if first is None:
         return None
@@ -292,9 +300,7 @@ def _with_best(
     rivals = fitted_rivals(beside, first, ranking, training, options, named)
     for chosen, stayed in rivals:
         point = training.fit(stayed)  # of a rival that stayed behind, it ended early
-        lowered = before - missing_share(plain.at(point))
-        beyond = taken_beyond_noise(state.point, point, training, options)
-        if np.any(beyond & (lowered > options.least_force)):
+        if _takes_force(state.point, point, training, options):
             rated = _without_replaced(state, first)
             others = _distinct_choices(state, chosen, rivals, rated, training, point, options)
             rated[chosen.placed.effect.identity] = chosen

@@ -25,6 +25,7 @@ from levid.model.effects.candidate_effects import all_effects
         ("drive", "force_ripple", 700_000),
         ("pendulum", "uneven_friction", 700_000),  # its period is longer than the travel
         ("drive", "preload", 898_001),
+        ("drive", "preload", 951_001),  # a spring that levels off has the better start values
         ("pendulum", "hysteresis", 900_001),
         ("levitation", "bearing", 900_003),
         ("drive", "soft_spring", 897_001),
@@ -73,6 +74,14 @@ def test_a_mass_on_a_spring_is_not_lost_to_a_play_that_never_moves() -> None:
     assert found.right
     assert not found.false_name
     assert not found.doubtful
+
+
+def test_a_load_that_is_measured_is_no_second_load() -> None:
+    """In its place, one that only the motor moves would keep the noise of the twist out."""
+    found = scored("geared", "drifting_stiffness", 951_003)
+    assert found.right
+    assert not found.false_name
+    assert all(ok for ok, _ in found.inside)
 
 
 def test_a_contact_is_found_from_a_start_at_zero() -> None:

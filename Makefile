@@ -35,7 +35,7 @@ demo: $(RUNTIME)
 # Computational tests run in parallel, one thread each, on processor time that is left by the tests that depend on
 # clocks, processes or buses (marker `alone`), which run one at a time and wait most of it.
 IN_PARALLEL = OPENBLAS_NUM_THREADS=1 $(IDLE) $(BIN)/python -m pytest \
-  --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+  --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations 15
 IDLE := $(shell chrt --idle 0 true 2> /dev/null && echo chrt --idle 0 || echo nice -n 19)
 
 test: COMPUTING = not alone and not long
@@ -55,7 +55,7 @@ test test-long test-rest: $(DEV)
 # `test` and `test-long` in two parts. .ci/run runs the first, one process that only computes, beside a virtual machine:
 # more would take it the processor's caches.
 test-beside: $(DEV)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "long and not alone"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 15 -m "long and not alone"
 
 test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rounding import ROUNDING
 from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
 
@@ -90,10 +92,12 @@ def _power(
     slow = np.abs(qd) < limit_hz * period
     if np.count_nonzero(slow) < 2 * _ROWS_PER_CYCLE:
         return 0.0
-    turn = np.exp(2j * np.pi / period * q[slow]) * size[slow]
-    line = np.stack([turn.real, turn.imag], axis=1)
-    even = np.stack([np.ones(len(line)), size[slow]], axis=1)[:, : 1 if np.ptp(size) == 0.0 else 2]
-    Q = np.linalg.qr(even)[0]
-    line, force = line - Q @ (Q.T @ line), missing[slow] - Q @ (Q.T @ missing[slow])
-    taken = line @ np.linalg.lstsq(line, force, rcond=None)[0]
-    return float(taken @ taken)
+    x, force, size = 2.0 * np.pi / period * q[slow], missing[slow], size[slow]
+    basis: list[Array] = []  # orthonormal: what is even along the position, then the line
+    for column in (np.ones(len(x)), size, np.cos(x) * size, np.sin(x) * size):
+        rest, length = column, column @ column
+        for one in basis:
+            rest = rest - (one @ rest) * one
+        left = rest @ rest
+        basis.append(rest / sqrt(left) if left > ROUNDING**2 * length else np.zeros(len(x)))
+    return float(sum((one @ force) ** 2 for one in basis[2:]))

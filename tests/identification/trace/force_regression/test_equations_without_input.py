@@ -87,7 +87,7 @@ def assert_within_three_standard_errors(found: ForceTrace) -> None:
     assert np.all(off < 3.0), dict(zip(free.names, off, strict=True))
 
 
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_noise_does_not_make_the_numbers_of_such_an_equation_small(seed: int):
     """The noise is a tenth of the swing; absolute errors lead to numbers near zero together."""
     found = traced(seed, noise_rad=3e-3, table=lambda _places, _extent: [])

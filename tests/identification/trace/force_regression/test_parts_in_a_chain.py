@@ -34,7 +34,7 @@ K: [[k]]
     "stage",
 )
 MASS, DAMPER, SPRING = 5.0, 15.0, 1776.0  # 3 Hz
-TS, ROWS, STEPS = 5e-3, 5000, 4
+TS, ROWS, STEPS = 5e-3, 4000, 4
 Parts = Callable[[float, np.ndarray], tuple[float, np.ndarray]]
 """Force and change of four states over command and states."""
 
@@ -58,7 +58,7 @@ def magnet(u: float, x: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def moved(parts: Parts, seed: int, masses: tuple[tuple[float, float, float], ...]) -> Experiment:
-    """Return 25 s of the stage by Runge's and Kutta's rule, with noise of 0.1 % of its motion.
+    """Return 20 s of the stage by Runge's and Kutta's rule, with noise of 0.1 % of its motion.
 
     masses: on springs, with their frequency and damping.
     """

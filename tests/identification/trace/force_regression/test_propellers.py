@@ -35,11 +35,11 @@ K: [[k]]
 B: [[b]]
 """
 DAMPER, SPRING, THRUST, LAG_S = 0.06, 0.6, 1.0, 0.05
-TS, ROWS, STEPS = 5e-3, 6000, 10
+TS, ROWS, STEPS = 5e-3, 4500, 10
 
 
 def flown(seed: int) -> Experiment:
-    """Return 30 s of a beam around a working point, with noise of 0.1 % of its motion."""
+    """Return 22.5 s of a beam around a working point, with noise of 0.1 % of its motion."""
     rng = np.random.default_rng(seed)
     u = 0.5 + 0.12 * np.clip(_low_pass(rng), -3.0, 3.0)
     y, h = np.empty(ROWS), TS / STEPS

@@ -16,21 +16,35 @@ from ..search_options import SearchOptions
 from .force_record import ForceModel
 from .training_records import Training
 
+Array = NDArray[np.float64]
+
+
+_UNSURE = 2.0
+"""Factor to which the power of the noise is known: it is measured as if it were white."""
+
 
 def taken_beyond_noise(
     before: ForceModel, after: ForceModel, training: Training, options: SearchOptions
 ) -> NDArray[np.bool_]:
     """Return whether what a fitted model takes of another one's squared missing force, of each DOF
-    (n,), is more than what it takes of the noise of the outputs there.
-
-    In units of that noise it takes `least_gain` of what it takes in forces, at least.
-    """
+    (n,), is more than what it takes of the noise of the outputs there."""
     squares, noise = [], []
     for point in (before, after):
         at = training.at(point)
         squares.append(np.sum([np.sum(m * m, axis=0) for m in at.missing], axis=0))
         noise.append(training.noise(point) * at.share**2)
+    return more_than_noise(np.array(squares), np.array(noise), options.least_gain)
+
+
+def more_than_noise(squares: Array, noise: Array, least_gain: float) -> NDArray[np.bool_]:
+    """Return whether what is taken of squares (2, n), before and after, is more than noise (n,).
+
+    noise (2, n): the part of the noise. Either the squares fall by more than it may fall, or they
+    fall in units of it, as they do not if all of them is noise, of whatever size. What other
+    effects still lack does not fall with it. `least_gain` of what is taken must be beyond noise.
+    """
+    taken = squares[0] - squares[1]
     left = squares[1] / np.maximum(squares[0], TINY)
-    left_of_noise = noise[1] / np.maximum(noise[0], TINY)
-    relative = left / np.maximum(left_of_noise, TINY)
-    return np.asarray(1.0 - relative > options.least_gain * (1.0 - left))
+    relative = left / np.maximum(noise[1] / np.maximum(noise[0], TINY), TINY)
+    by_size = taken - _UNSURE * (noise[0] - noise[1]) > least_gain * taken
+    return np.asarray(by_size | (1.0 - relative > least_gain * (1.0 - left)))

@@ -220,15 +220,15 @@ class Training:
         return self.columns(at, self.group_columns(at), shrinks=True)
 
     def noise(self, point: ForceModel) -> Array:
-        """Return the power (n,) that the noise of the outputs has in the missing force of a model.
+        """Return the sum of squares (n,) that the noise of the outputs gives in the missing force.
 
-        In arbitrary units: only ratios count.
+        It is without `share`.
         """
         power = np.zeros(len(self.all_free))
         for r in self.records:
             freq_hz, density = r.noise_density(point)
             weighed = density * self.whitening.squared_at(freq_hz)
-            power += r.rows * r.band.row_s * weighed.mean(axis=0)
+            power += 2.0 * r.rows * r.band.row_s * np.trapezoid(weighed, freq_hz, axis=0)
         return power
 
     def plain(self) -> Training:

@@ -12,7 +12,10 @@ from levid.benchmarks.trace.imported_plant_effects import case
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.trace.force_regression import trace_imported
 from levid.identification.trace.force_regression.force_record import ForceModel
-from levid.identification.trace.force_regression.gain_beyond_output_noise import taken_beyond_noise
+from levid.identification.trace.force_regression.gain_beyond_output_noise import (
+    more_than_noise,
+    taken_beyond_noise,
+)
 from levid.identification.trace.force_regression.trace_imported import trace_records
 from levid.identification.trace.force_regression.training_records import Training
 from levid.identification.trace.records.record_from_log import imported_trace_record
@@ -84,3 +87,29 @@ def test_a_load_in_the_place_of_the_one_that_is_measured_takes_noise_only(geared
     instead = replace(right.with_values(np.array([*(values | small).values()])), placed=placed)
     assert geared.squares(instead) < 0.5 * geared.squares(right)
     assert not geared.taken(right, instead)
+
+
+def test_noise_of_the_outputs_is_what_the_right_model_leaves(geared: Geared) -> None:
+    point, training = geared.with_stop, geared.training
+    noise = training.noise(point) * training.at(point).share ** 2
+    left = np.sum([np.sum(m * m, axis=0) for m in training.at(point).missing], axis=0)
+    # It is measured where the motion is small, in a tenth of the spectrum, and has a slope.
+    np.testing.assert_allclose(noise, left, rtol=0.3)
+
+
+@pytest.mark.parametrize(
+    ("squares", "noise", "more"),
+    [
+        ((100.0, 50.0), (1.0, 1.0), True),  # an effect that changes no noise
+        ((100.0, 10.0), (100.0, 10.0), False),  # noise alone
+        ((200.0, 20.0), (100.0, 10.0), False),  # twice as much of it as was measured
+        ((1100.0, 1010.0), (100.0, 10.0), False),  # beside what another effect lacks
+        ((2000.0, 1010.0), (100.0, 10.0), True),  # an effect beside it, and noise
+        ((150.0, 10.0), (100.0, 10.0), True),  # an effect of half of the noise, and noise
+    ],
+)
+def test_what_is_taken_is_compared_with_noise(
+    squares: tuple[float, float], noise: tuple[float, float], more: bool
+) -> None:
+    values = np.array(squares)[:, None], np.array(noise)[:, None]
+    assert more_than_noise(*values, OPTIONS.least_gain)[0] == more

@@ -48,7 +48,7 @@ test-rest: WAITING = alone
 test test-long test-rest: $(DEV)
 	@mkdir -p build
 	@$(IN_PARALLEL) -m "$(COMPUTING)" > build/$@.txt 2>&1 & computing=$$!; failed=0; \
-	$(BIN)/python -m pytest -m "$(WAITING)" || failed=$$?; \
+	$(BIN)/python -m pytest --durations 15 -m "$(WAITING)" || failed=$$?; \
 	echo "... and the tests that ran beside these:"; \
 	wait $$computing || failed=$$?; cat build/$@.txt; exit $$failed
 

@@ -30,7 +30,7 @@ HALVINGS = ceil(-log2(SearchOptions.accuracy))
 _HOPELESS = SearchOptions.least_gain
 _CONVERGED = DIFFERENCE
 """Share of the squared residual that a step must take for another one."""
-_KEPT = 2
+_POINTS = 2
 """Points of which the forces are kept."""
 _DELAYS = (-2, -1, 1, 2, SearchOptions.resolved)
 """Delays in rows, beside the model's own, from which a first fit starts."""
@@ -60,7 +60,7 @@ class Evaluated:
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _ForcesOfEffect:
     """Signals of an effect that is a force alone, of each record, and its weighed forces
     (amplitudes, rows, n), which no number of the model changes."""
 
@@ -91,7 +91,9 @@ class Training:
     scale: Array
     reference: Array
     all_free: NDArray[np.bool_]
-    _kept: dict[tuple[str, Shape], _Kept] = field(init=False, repr=False, default_factory=dict)
+    _forces_kept: dict[tuple[str, Shape], _ForcesOfEffect] = field(
+        init=False, repr=False, default_factory=dict
+    )
     _evaluated: list[Evaluated] = field(init=False, repr=False, default_factory=list)
     """The last ones: a step begins where the cost was asked, and two ends of fits are compared."""
 
@@ -109,7 +111,7 @@ class Training:
         known = next((e for e in self._evaluated if e.point is point), None)
         if known is None:
             known = self._at(point)
-            self._evaluated[:] = [known, *self._evaluated[: _KEPT - 1]]
+            self._evaluated[:] = [known, *self._evaluated[: _POINTS - 1]]
         return known
 
     def _at(self, point: ForceModel) -> Evaluated:
@@ -138,7 +140,7 @@ class Training:
             own = (r.group_changes(at.point, effect, shape) for r in self.records)
             return self._forces_of(at, self._weighed(own))
         parts = [r.parts(at.point, effect, shape, keep) for r in self.records]
-        known = self._kept.get((effect.identity, shape))
+        known = self._forces_kept.get((effect.identity, shape))
         if known is None or any(a is not b for a, b in zip(known.parts, parts, strict=True)):
             changes = self._weighed(
                 r.group_changes(at.point, effect, shape, keep) for r in self.records
@@ -146,8 +148,8 @@ class Training:
             own_parts = [part for of_record in parts for part in of_record]
             if any(held is not None or false is not None for _, held, false in own_parts):
                 return self._forces_of(at, changes)
-            known = _Kept(parts, [-c[:, group_of(effect)] for c in changes])
-            self._kept[effect.identity, shape] = known
+            known = _ForcesOfEffect(parts, [-c[:, group_of(effect)] for c in changes])
+            self._forces_kept[effect.identity, shape] = known
         scale = self.scale[group_of(effect)]
         along = sum(
             np.sum(f * (g[group_of(effect)] * scale), axis=1)

@@ -14,6 +14,7 @@ from ..search_options import SearchOptions
 from .candidate_fit import Beside
 from .force_record import ForceModel, ForceRecord
 from .free_numbers import numbers
+from .gauss_newton_fit import fit_numbers
 from .instrumental_variables import Unbiased
 from .intervals import Influences, Uncertainty, relative_force_errors
 from .richest_free_form import foretold, residual_of_richest
@@ -89,7 +90,7 @@ class Certainty:
         moved = [numbers(model)[: len(base)] - base for model in richer]
         if unbiased is None or not unbiased.large:
             point, instruments = found.point, None
-            moved += [numbers(other.fit(point)) - base for other in others]
+            moved += [numbers(fit_numbers(other, point)) - base for other in others]
             moved += [_beyond_chance(point, training, part) for part in parts]
             moved += [] if unbiased is None else [numbers(unbiased.point) - base]
         else:
@@ -146,7 +147,7 @@ def without_effect(found: Searched, identity: str, training: Training) -> Search
     kept = tuple(p for p in found.point.placed if p.effect.identity != identity)
     left = tuple(r for r in found.rated if r.placed.effect.identity != identity)
     less = replace(found, rated=left, dropped=(*found.dropped, identity))
-    return with_numbers(less, training.fit(replace(found.point, placed=kept)))
+    return with_numbers(less, fit_numbers(training, replace(found.point, placed=kept)))
 
 
 def with_numbers(found: Searched, point: ForceModel) -> Searched:
@@ -163,7 +164,7 @@ def _beyond_chance(point: ForceModel, whole: Training, part: Training) -> Array:
     (Hausman, *Specification tests in econometrics*, Econometrica 46, 1978). A part tells nothing of
     numbers that change no force there.
     """
-    change = numbers(part.fit(point)) - numbers(point)
+    change = numbers(fit_numbers(part, point)) - numbers(point)
     own, all_rows = (Influences.of(point, training) for training in (part, whole))
     chance = np.diag(own.covariance()) - np.diag(all_rows.covariance())
     beyond = np.maximum(change**2 - np.maximum(chance, 0.0), 0.0)
@@ -194,7 +195,7 @@ def _with_what_came_near(
     more = [replace(found.point, placed=(*found.point.placed, placed)) for placed in near]
     plain = training.plain()
     before = np.linalg.norm(missing_share(plain.at(found.point)))
-    fitted = [training.fit(point) for point in more]
+    fitted = [fit_numbers(training, point) for point in more]
     return [p for p in fitted if np.linalg.norm(missing_share(plain.at(p))) < before]
 
 
@@ -219,7 +220,7 @@ def _left_share(
     for rated in found.rated:
         identity = rated.placed.effect.identity
         others = tuple(p for p in found.point.placed if p.effect.identity != identity)
-        without = missing(training.fit(replace(found.point, placed=others)))
+        without = missing(fit_numbers(training, replace(found.point, placed=others)))
         taken = without**2 - after**2
         most = int(np.argmax(taken))
         there = beyond[most] + max(float(taken[most]), 0.0)
@@ -256,7 +257,7 @@ def _leaning(
         kept = tuple(p for p in found.point.placed if p.effect.identity not in doubtful)
         rated = tuple(r for r in found.rated if r.placed.effect.identity not in doubtful)
         sure = with_numbers(
-            replace(found, rated=rated), training.fit(replace(found.point, placed=kept))
+            replace(found, rated=rated), fit_numbers(training, replace(found.point, placed=kept))
         )
         more = set()
         for r, share in zip(rated, _left_share(sure, training, noise, options), strict=True):

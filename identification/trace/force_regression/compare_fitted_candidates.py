@@ -14,6 +14,7 @@ from ...rounding import TINY
 from ..search_options import SearchOptions
 from .force_record import ForceModel
 from .free_numbers import amplitudes_of, at_limits, numbers_of
+from .gauss_newton_fit import fit_numbers
 from .held_out_gain import Blocks, Columns, block_sums, bounded, error_of_mean
 from .rated_candidate import Rated, confirmed, missing_after
 from .training_records import Training, missing_share
@@ -199,7 +200,7 @@ def _plain(
 ) -> ForceModel:
     """Fit the model with a candidate that is held to its textbook form, as `_in_best_order`."""
     placed = orders((*beside.placed, law), table, beside.model.lagging)
-    fits = [training.fit(replace(beside, placed=order), least) for order in placed]
+    fits = [fit_numbers(training, replace(beside, placed=order), least) for order in placed]
     return min(fits, key=training.cost)
 
 
@@ -221,7 +222,7 @@ def _in_best_order(
     begins = [replace(beside, placed=order) for order in placed]
     if plain is not None:
         begins.append(plain.freed())
-    return min((training.fit(begin, least) for begin in begins), key=training.cost)
+    return min((fit_numbers(training, begin, least) for begin in begins), key=training.cost)
 
 
 def richer_matters(

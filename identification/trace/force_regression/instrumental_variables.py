@@ -26,9 +26,10 @@ from ..records.record_from_log import TraceRecord
 from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
 from .free_numbers import moved_by, numbers, way
+from .gauss_newton_fit import HALVINGS, gauss_newton_step
 from .intervals import Influences
 from .residual_whitening import SEGMENTS
-from .training_records import HALVINGS, Training, missing_share
+from .training_records import Training, missing_share
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -166,14 +167,14 @@ def fit_with_instruments(
     """
     begin = point
     for _ in range(SearchOptions.steps):
-        step, part = training.step(point, way(begin, point), instruments)
+        step, part = gauss_newton_step(training, point, way(begin, point), instruments)
         left = float(part @ part)
         chance = training.at(point).squares / training.independent
         if left < _CONVERGED * chance:
             return point
         for halving in range(HALVINGS):
             moved = moved_by(point, step * 0.5**halving)
-            _, after = training.step(moved, way(begin, moved), instruments)
+            _, after = gauss_newton_step(training, moved, way(begin, moved), instruments)
             if after @ after < left:
                 point = moved
                 break

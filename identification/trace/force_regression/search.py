@@ -23,6 +23,7 @@ from .compare_fitted_candidates import fitted_rivals
 from .force_record import ForceModel
 from .free_form_of_law_signal import described_laws
 from .gain_beyond_output_noise import taken_beyond_noise
+from .gauss_newton_fit import fit_numbers
 from .rated_candidate import (
     Rated,
     by_gain,
@@ -67,7 +68,7 @@ def search(
     state = _State(point, {}, ())
     if begun is not None:
         rated = {r.placed.effect.identity: r for r in begun.rated}
-        state = _State(training.fit(begun.point.freed()), rated, ())
+        state = _State(fit_numbers(training, begun.point.freed()), rated, ())
         if len(rated) == 1:  # of several, rivals are compared at the end
             state = _against_rivals(state, list(rated), named, training, options)
     state, nearest = _grown(state, named, training, options, progress)
@@ -174,7 +175,7 @@ def _with_two_at_once(
         state.point, placed=tuple(p for p in state.point.placed if p is not first.instead_of)
     )
     alone = _State(
-        training.fit(replace(beside, placed=(*beside.placed, first.placed))),
+        fit_numbers(training, replace(beside, placed=(*beside.placed, first.placed))),
         {**_without_replaced(state, first), first.placed.effect.identity: first},
         state.dropped,
         (*state.not_taken, ()),
@@ -265,7 +266,7 @@ def _with_another_choice(
         fitted=options.patience,  # of a choice that leads far, the next effect stands out
     )
     for chosen in others[: options.detours]:
-        begin = replace(chosen, point=training.fit(chosen.point))
+        begin = replace(chosen, point=fit_numbers(training, chosen.point))
         other, _ = _grown(begin, named, training, fewer, progress)
         if training.cost(other.point) < most:
             return other
@@ -299,7 +300,7 @@ def _with_best(
     beside = replace(state.point, placed=kept)
     rivals = fitted_rivals(beside, first, ranking, training, options, named)
     for chosen, stayed in rivals:
-        point = training.fit(stayed)  # of a rival that stayed behind, it ended early
+        point = fit_numbers(training, stayed)  # of a rival that stayed behind, it ended early
         if _takes_force(state.point, point, training, options):
             rated = _without_replaced(state, first)
             others = _distinct_choices(state, chosen, rivals, rated, training, point, options)
@@ -414,7 +415,7 @@ def _removed(state: _State, placed: Placed, training: Training) -> _State:
     identity = placed.effect.identity
     rated = {k: r for k, r in state.rated.items() if k != identity}
     kept = tuple(p for p in state.point.placed if p is not placed)
-    point = training.fit(replace(state.point, placed=kept))
+    point = fit_numbers(training, replace(state.point, placed=kept))
     return _State(point, rated, (*state.dropped, identity), state.not_taken)
 
 
@@ -446,7 +447,7 @@ def _against_rivals(
             contenders += [e for e in _asked(named, bare) if e.where == own.effect.where]
         rivals = [own.effect, *(e for e in _new(contenders, bare) if not same_law(e, own.effect))]
         rivals = list({e.identity: e for e in rivals}.values())
-        rest = training.fit(bare)
+        rest = fit_numbers(training, bare)
         ranking = _with_present_numbers(rate(rest, rivals, training, options), own, rest, training)
         first = next((r for r in ranking if confirmed(r, options)), None)
         if first is None:

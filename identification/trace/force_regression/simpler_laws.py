@@ -22,6 +22,7 @@ from .candidate_fit import Beside, fitted_candidate, told_share
 from .certainty_of_effects import with_numbers
 from .compare_fitted_candidates import richer_matters
 from .force_record import ForceModel
+from .gauss_newton_fit import fit_numbers
 from .intervals import Influences
 from .rated_candidate import Rated, confirmed, rated_beside
 from .search import Searched
@@ -58,7 +59,8 @@ def with_plain_laws(found: Searched, training: Training, options: SearchOptions)
             continue
         others = tuple(p for p in found.point.placed if p is not own)
         free, plain = (
-            training.fit(replace(found.point, placed=(*others, one))) for one in (own, held)
+            fit_numbers(training, replace(found.point, placed=(*others, one)))
+            for one in (own, held)
         )
         rated = next(r for r in found.rated if r.placed.effect.identity == identity)
         matters = richer_matters(free, plain, rated, training, options)
@@ -99,9 +101,9 @@ def _as_good(
     placed = fitted_candidate(Beside.of(rest, training), law, shape, told_share(law, options))
     if placed is None:
         return None
-    simple = training.fit(replace(rest, placed=(*rest.placed, placed)))
+    simple = fit_numbers(training, replace(rest, placed=(*rest.placed, placed)))
     less = simple.placed[-1]
-    whole = training.fit(replace(rest, placed=(*rest.placed, richer.placed)))
+    whole = fit_numbers(training, replace(rest, placed=(*rest.placed, richer.placed)))
     if richer_matters(whole, simple, richer, training, options):
         return None
     without = replace(simple, placed=simple.placed[:-1])

@@ -40,6 +40,7 @@ from .certainty_of_effects import Certainty, FittedRows, without_effect
 from .force_record import ForceModel, ForceRecord
 from .free_form_of_law_signal import curves_beside_laws
 from .free_numbers import at_limits
+from .gauss_newton_fit import first_fit
 from .held_out_gain import Blocks
 from .instrumental_variables import Unbiased
 from .lines_in_missing_force import missing_lines
@@ -333,7 +334,7 @@ def _unweighed(
     training = Training.unscaled(fitted, plain, blocks)
     start, held_for = with_told_scales(start, training, options.told_from_model)
     training = training.with_scale(training.at(start), options.told_from_model)
-    return training, training.first_fit(start), held_for
+    return training, first_fit(training, start), held_for
 
 
 def _weighed(
@@ -357,7 +358,7 @@ def _weighed(
     new = {r.placed.effect.identity for r in found}
     bare = replace(point, placed=tuple(p for p in point.placed if p.effect.identity not in new))
     weighed = weighed.with_scale(weighed.at(bare), options.told_from_model)
-    fit = weighed.first_fit(point)
+    fit = first_fit(weighed, point)
     before, after = (missing_share(training.plain().at(p)) for p in (point, fit))
     if np.any(after**2 > (1.0 + options.least_gain) * before**2):
         return training, point

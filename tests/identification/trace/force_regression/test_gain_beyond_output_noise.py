@@ -16,6 +16,7 @@ from levid.identification.trace.force_regression.gain_beyond_output_noise import
     more_than_noise,
     taken_beyond_noise,
 )
+from levid.identification.trace.force_regression.gauss_newton_fit import fit_numbers
 from levid.identification.trace.force_regression.trace_imported import trace_records
 from levid.identification.trace.force_regression.training_records import Training
 from levid.identification.trace.records.record_from_log import imported_trace_record
@@ -67,7 +68,7 @@ def geared() -> Geared:
     training, point = trace_imported._weighed(training, point, (), trace.options)
     k, q0 = map(float, drawn.effects[0].numbers)
     stop = Placed(laws["stiffness.one_sided@motor"], (q0,), (k,))
-    with_stop = training.fit(replace(point, placed=(stop,)))
+    with_stop = fit_numbers(training, replace(point, placed=(stop,)))
     return Geared(training, point, with_stop, laws["flexible_mode.load@motor"])
 
 

@@ -230,7 +230,8 @@ def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -
         return tuple(0.75 if key == "actuator_lag" else 0.0 for key in keys)
 
     monkeypatch.setattr(certainty_of_effects, "_left_share", left)
-    training: Any = SimpleNamespace(fit=lambda at: at)
+    monkeypatch.setattr(certainty_of_effects, "fit_numbers", lambda _, at: at)
+    training: Any = None
     found, told = Searched(point, rated, (), ()), [np.array([0.01])] * 3
 
     def leaning(shares: tuple[float, ...]) -> tuple[float, ...]:

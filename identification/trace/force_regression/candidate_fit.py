@@ -68,7 +68,7 @@ class Beside:
     @cached_property
     def plain(self) -> Plain:
         """The same without weights."""
-        return self._without_weights(self.training.plain())
+        return self._without_weights(self.training.plain)
 
     @cached_property
     def relative(self) -> Plain:
@@ -77,7 +77,7 @@ class Beside:
         free = np.isfinite(self.training.reference)
         if not free.any():
             return self.plain
-        flat = self.training.plain()
+        flat = self.training.plain
         reference = np.where(free, flat.at(self.at.point).power, np.nan)
         return self._without_weights(replace(flat, reference=reference))
 

@@ -193,7 +193,7 @@ def _with_what_came_near(
         and r.placed.effect.identity not in known
     ]
     more = [replace(found.point, placed=(*found.point.placed, placed)) for placed in near]
-    plain = training.plain()
+    plain = training.plain
     before = np.linalg.norm(missing_share(plain.at(found.point)))
     fitted = [fit_numbers(training, point) for point in more]
     return [p for p in fitted if np.linalg.norm(missing_share(plain.at(p))) < before]
@@ -209,7 +209,7 @@ def _left_share(
     counts, and only if an effect must take as much. A free form that leaves more tells nothing: it
     may lack what the table lacks.
     """
-    plain = training.plain()
+    plain = training.plain
 
     def missing(point: ForceModel) -> Array:
         return missing_share(plain.at(point))

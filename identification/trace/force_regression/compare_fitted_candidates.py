@@ -245,7 +245,7 @@ def richer_matters(
     if numbers_of(richer.placed[-1]) == numbers_of(simple.placed[-1]):
         return bool(surely)
     share = float(gain.sum()) / max(float(other.errors.sum()), TINY)
-    plain = training.plain()
+    plain = training.plain
     less = missing_share(plain.at(simple)) - missing_share(plain.at(richer))
     return bool(surely and share > options.least_gain and less.max() > options.least_force)
 

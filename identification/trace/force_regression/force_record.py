@@ -239,22 +239,26 @@ class ForceRecord:
 
     def bare_and_whole(self, point: ForceModel) -> tuple[Array, Array]:
         """Return `groups` without the model's effects, and with them."""
-        model = point.model
-        q, qd, qdd, _ = self.multiplied.kept_derivatives() if self.schedule else self.kept
-        others = self._products(model, D=qd, K=q)
-        if self.schedule:
-            others = others - self.band.smoothed(model.moving_force(self.schedule))
-        bare = np.stack([self.input_force(model), self._products(model, M=qdd), others])
-        bare = whole = bare * self.moves
+        bare = whole = self._bare(point.model)
         for p in point.placed:
             more = self._changes(point, p.effect, p.shape)
             whole = whole + np.tensordot(np.array(p.amplitudes), more, 1)
         return bare, whole
 
+    def _bare(self, model: DeclaredModel) -> Array:
+        q, qd, qdd, _ = self.multiplied.kept_derivatives() if self.schedule else self.kept
+        others = self._products(model, D=qd, K=q)
+        if self.schedule:
+            others = others - self.band.smoothed(model.moving_force(self.schedule))
+        bare = np.stack([self.input_force(model), self._products(model, M=qdd), others])
+        return np.asarray(bare * self.moves)
+
     def change(self, low: ForceModel, high: ForceModel) -> Array:
-        """Return how `groups` change (3, rows, n) between two models with the same effects."""
-        bare = [self.bare_and_whole(replace(p, placed=()))[0] for p in (low, high)]
-        change = bare[1] - bare[0]
+        """Return how `groups` change (3, rows, n) between two models with the same effects.
+
+        An effect that is a force alone does not change unless delay or lag of the input do.
+        """
+        change = self._bare(high.model) - self._bare(low.model)
         later = self._timing(low.model) != self._timing(high.model)
         for p in low.placed:
             parts = self._parts_of(low, p.effect, p.shape, keep=False, passed=False)

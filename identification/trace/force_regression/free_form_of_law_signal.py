@@ -21,7 +21,7 @@ from .training_records import Training
 
 def described_laws(form: Placed, point: ForceModel, training: Training) -> list[Placed]:
     """Return the laws of a model of which a free form describes more than half of the force."""
-    plain = training.plain()
+    plain = training.plain
     at = plain.at(point)
     Q, _ = np.linalg.qr(flat(plain.forces(at, form.effect, form.shape)[0]))
     found = []

@@ -19,32 +19,30 @@ from .training_records import Training
 Array = NDArray[np.float64]
 
 
-_UNSURE = 2.0
-"""Factor to which the power of the noise is known: it is measured as if it were white."""
-
-
 def taken_beyond_noise(
     before: ForceModel, after: ForceModel, training: Training, options: SearchOptions
 ) -> NDArray[np.bool_]:
-    """Return whether what a fitted model takes of another one's squared missing force, of each DOF
-    (n,), is more than what it takes of the noise of the outputs there."""
-    squares, noise = [], []
-    for point in (before, after):
-        at = training.at(point)
-        squares.append(np.sum([np.sum(m * m, axis=0) for m in at.missing], axis=0))
-        noise.append(training.noise(point) * at.share**2)
-    return more_than_noise(np.array(squares), np.array(noise), options.least_gain)
+    """Return whether a fitted model takes more of the squared missing force that another one leaves
+    than of the noise in it, for each DOF (n,)."""
+    both = [training.at(point) for point in (before, after)]
+    squares = np.array([at.squares for at in both])
+    noise = np.array([training.noise(at.point) * at.share**2 for at in both])
+    return more_than_noise(squares, noise, options)
 
 
-def more_than_noise(squares: Array, noise: Array, least_gain: float) -> NDArray[np.bool_]:
-    """Return whether what is taken of squares (2, n), before and after, is more than noise (n,).
+def more_than_noise(squares: Array, noise: Array, options: SearchOptions) -> NDArray[np.bool_]:
+    """Return whether squared forces (2, n), before and after, fall by more than their noise (n,).
 
-    noise (2, n): the part of the noise. Either the squares fall by more than it may fall, or they
-    fall in units of it, as they do not if all of them is noise, of whatever size. What other
-    effects still lack does not fall with it. `least_gain` of what is taken must be beyond noise.
+    noise (2, n): the part of the squares that the noise of the outputs has. It is enough if what
+    fell is beyond the noise that fell, even with as much noise as may be left where nothing is
+    missing (`much_left`), or if the squares fell in units of the noise; both by `least_gain` of all
+    that fell. The first does not depend on what another effect still lacks, the second not on how
+    much noise there is.
     """
-    taken = squares[0] - squares[1]
+    fell = squares[0] - squares[1]
+    noise_fell = options.much_left**2 * (noise[0] - noise[1])
     left = squares[1] / np.maximum(squares[0], TINY)
-    relative = left / np.maximum(noise[1] / np.maximum(noise[0], TINY), TINY)
-    by_size = taken - _UNSURE * (noise[0] - noise[1]) > least_gain * taken
-    return np.asarray(by_size | (1.0 - relative > least_gain * (1.0 - left)))
+    left_in_noise = left / np.maximum(noise[1] / np.maximum(noise[0], TINY), TINY)
+    absolute = fell - noise_fell > options.least_gain * fell
+    relative = 1.0 - left_in_noise > options.least_gain * (1.0 - left)
+    return np.asarray(absolute | relative)

@@ -141,7 +141,7 @@ class Unbiased:
             return None
         pairs = [(other, instruments_of(alone, other, hold, law_hz, sd)) for other in others]
         fits = [fit_with_instruments(found, *pair) for pair in pairs]
-        missing = missing_share(training.plain().at(point)).max()
+        missing = missing_share(training.plain.at(point)).max()
         large = bool(missing > options.least_force)
         return cls(found, instruments, tuple(f for f in fits if f is not None), large)
 
@@ -169,7 +169,7 @@ def fit_with_instruments(
     for _ in range(SearchOptions.steps):
         step, part = gauss_newton_step(training, point, way(begin, point), instruments)
         left = float(part @ part)
-        chance = training.at(point).squares / training.independent
+        chance = float(training.at(point).squares.sum()) / training.independent
         if left < _CONVERGED * chance:
             return point
         for halving in range(HALVINGS):

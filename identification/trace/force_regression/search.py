@@ -237,7 +237,7 @@ def _takes_force(
 ) -> bool:
     """Return whether a fitted model lacks less force than another one, by what matters, and not
     only as it has less of the outputs' noise."""
-    plain = training.plain()
+    plain = training.plain
     lowered = missing_share(plain.at(before)) - missing_share(plain.at(after))
     beyond = taken_beyond_noise(before, after, training, options)
     return bool(np.any(beyond & (lowered > options.least_force)))

@@ -359,7 +359,7 @@ def _weighed(
     bare = replace(point, placed=tuple(p for p in point.placed if p.effect.identity not in new))
     weighed = weighed.with_scale(weighed.at(bare), options.told_from_model)
     fit = first_fit(weighed, point)
-    before, after = (missing_share(training.plain().at(p)) for p in (point, fit))
+    before, after = (missing_share(training.plain.at(p)) for p in (point, fit))
     if np.any(after**2 > (1.0 + options.least_gain) * before**2):
         return training, point
     return weighed, fit

@@ -42,9 +42,9 @@ class Evaluated:
     share: Array
 
     @property
-    def squares(self) -> float:
-        """Sum of squares of the missing force."""
-        return float(sum(np.sum(m * m) for m in self.missing))
+    def squares(self) -> Array:
+        """Sum of squares of the missing force of each DOF (n,)."""
+        return np.asarray(np.sum([np.sum(m * m, axis=0) for m in self.missing], axis=0))
 
 
 @dataclass(frozen=True)
@@ -210,9 +210,9 @@ class Training:
         return self.columns(at, self.group_columns(at), shrinks=True)
 
     def noise(self, point: ForceModel) -> Array:
-        """Return the sum of squares (n,) that the noise of the outputs gives in the missing force.
+        """Return the squared missing force (n,) that the noise of the outputs alone gives.
 
-        It is without `share`.
+        The force is weighed, but not times `share`.
         """
         power = np.zeros(len(self.all_free))
         for r in self.records:
@@ -221,8 +221,9 @@ class Training:
             power += 2.0 * r.rows * r.band.row_s * np.trapezoid(weighed, freq_hz, axis=0)
         return power
 
+    @cached_property
     def plain(self) -> Training:
-        """Return the same records without weights."""
+        """The same records without weights."""
         n, limit_hz = self.records[0].kept[0].shape[1], self.whitening.cutoff_hz
         flat = Whitening(np.array([0.0, limit_hz]), np.ones((2, n)), limit_hz)
         return replace(self, whitening=flat, reference=np.full(n, np.nan))
@@ -328,7 +329,7 @@ class Training:
         """
         if self.whitening.flat:
             return False
-        squares = np.sum([np.sum(m * m, axis=0) for m in self.at(point).missing], axis=0)
+        squares = self.at(point).squares
         return bool(np.all(squares * len(squares) * options.much_left**2 > self.expected))
 
     def cost(self, point: ForceModel) -> float:
@@ -338,7 +339,7 @@ class Training:
         """
         rows = point.parameters.prior_rows(point.values)
         try:
-            squares = self.at(point).squares
+            squares = float(self.at(point).squares.sum())
         except ModelError:
             return float("inf")
         return squares + float(np.sum(rows[:, -1] ** 2))
@@ -389,8 +390,7 @@ def _beside(J: Array, force: Array) -> Array:
 
 def missing_share(at: Evaluated) -> Array:
     """Return the missing force over the acting force (n,)."""
-    squares = np.sum([np.sum(m * m, axis=0) for m in at.missing], axis=0)
-    return np.asarray(np.sqrt(squares) / at.share / np.maximum(acting_force(at), TINY))
+    return np.asarray(np.sqrt(at.squares) / at.share / np.maximum(acting_force(at), TINY))
 
 
 def acting_force(at: Evaluated) -> Array:

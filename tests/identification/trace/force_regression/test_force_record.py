@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
 from levid.config.base import parse_text
@@ -14,8 +15,10 @@ from levid.identification.greybox.experiment.experiment_from_log import Experime
 from levid.identification.greybox.force_balance.band_limited_signals import BandLimited
 from levid.identification.greybox.free_parameters import free_parameters
 from levid.identification.trace.force_regression.force_record import ForceModel, ForceRecord
+from levid.identification.trace.records.initial_guesses import extent
 from levid.identification.trace.records.record_from_log import imported_trace_record
-from levid.model.effects.base import Effect, Quantity, Signals, Term
+from levid.model.effects.base import Effect, Placed, Quantity, Signals, Term
+from levid.model.effects.candidate_effects import all_effects
 
 TS, ROWS, LIMIT_HZ = 0.002, 8000, 20.0
 CONFIG = parse_text(
@@ -32,6 +35,24 @@ K: [[0]]
     ModelConfig,
     "mass",
 )
+
+ALL_FREE = """
+levid: model
+name: mass
+dof: [{name: x, unit: m}]
+inputs: [{name: f, unit: N}]
+parameters:
+  m: {value: 2.0, unit: kg, min: 0.1, max: 10}
+  d: {value: 3.0, unit: N s/m, min: 0, max: 100}
+  k: {value: 50.0, unit: N/m, min: 0, max: 1000}
+  b: {value: 1.5, unit: "1", min: 0, max: 10}
+  delay: {value: 0.004, unit: s, min: 0, max: 0.1}
+M: [[m]]
+D: [[d]]
+K: [[k]]
+B: [[b]]
+delay_s: delay
+"""
 
 
 def record(law_hz: float) -> ForceRecord:
@@ -90,3 +111,31 @@ def test_laws_see_positions_beyond_the_limit_of_velocities() -> None:
     made = ForceRecord.of(imported_trace_record(e, CONFIG), "zoh", 1.0, 2.5, np.array([sd]))
     narrow = BandLimited.of(e, "zoh", 2.5, 4.0).derivatives[0]
     assert np.std(made.signals.q - true) < 0.2 * np.std(narrow - true)
+
+
+@pytest.mark.parametrize("name", ["m", "d", "k", "b", "delay"])
+@pytest.mark.parametrize(
+    "identity",
+    ["friction.coulomb@x", "actuator.squared@f", "reading.quadratic@x", "actuator_lag@f"],
+)
+def test_change_is_the_difference_of_the_groups(name: str, identity: str) -> None:
+    """An effect that acts by its force alone is left out, one by inputs or readings is not."""
+    config = parse_text(ALL_FREE, ModelConfig, "mass")
+    rng = np.random.default_rng(6)
+    u, y = rng.standard_normal((2, 2000, 1))
+    y = lfilter([0.1], [1.0, -0.9], y, axis=0)
+    e = Experiment("r", TS, u, y, {}, frozenset(), False)
+    own = imported_trace_record(e, config)
+    made = ForceRecord.of(own, "zoh", LIMIT_HZ, 100.0, np.zeros(1))
+    effect = next(e for e in all_effects(own.places, extent([own])) if e.identity == identity)
+    shape = effect.grid[0] if effect.shape else ()
+    placed = (Placed(effect, shape, tuple(1.0 for _ in effect.amplitudes)),)
+    point = ForceModel(declared_model(config), free_parameters(config), placed)
+    high = point.with_values(
+        point.values + 0.1 * (np.array(point.parameters.names) == name) * point.values
+    )
+    expected = made.groups(high) - made.groups(point)
+    assert np.any(expected)
+    np.testing.assert_allclose(
+        made.change(point, high), expected, atol=1e-12 * np.abs(made.groups(point)).max()
+    )

@@ -12,13 +12,15 @@ from ...records.record import IdentificationError
 from ..experiment.experiment_from_log import Experiment
 from ..experiment.intersample_input import Hold
 from . import filter_kernels
-from .discretisation import Motion, innovations, motion
+from .discretisation import Motion, innovations, motion, run_filter
 from .noise_model import Filter, Noise, kalman_filter
 
 Array = NDArray[np.float64]
 
 _DECAYED = 1e-14
 """Share of an initial state's effect in the rows that count below which it is not fitted."""
+_AT_A_TIME = 1024
+"""Rows of an initial state's effect that are computed before it is asked whether it has decayed."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +122,22 @@ def _errors_and_unknowns(at: Motion, kalman: Filter, experiment: Experiment) -> 
         forced = settled(still, np.eye(n)[i])
         out[:, :, 1 + i] = innovations(forced, kalman.gain, zero, np.zeros(2 * n))
     for i in range(2 * n):
-        out[:, :, 1 + n + i] = innovations(still, kalman.gain, zero, np.eye(2 * n)[i])
+        _fill_with_start(still, kalman, np.eye(2 * n)[i], out[:, :, 1 + n + i])
     return out
+
+
+def _fill_with_start(still: Motion, kalman: Filter, x: Array, out: Array) -> None:
+    """Fill `out` (N, n) with the effect of a state `x` (2n,) at row 0, zero once it has decayed."""
+    largest = 0.0
+    for first in range(0, len(out), _AT_A_TIME):
+        rows = slice(first, min(first + _AT_A_TIME, len(out)))
+        there = still.rows(rows.start, rows.stop)
+        out[rows], x = run_filter(there, kalman.gain[rows], np.zeros_like(out[rows]), x)
+        now = float(np.max(np.abs(out[rows])))
+        largest = max(largest, now)
+        if now <= _DECAYED * largest:
+            out[rows.stop :] = 0.0
+            return
 
 
 def _steady(at: Motion, force: Array) -> Array:

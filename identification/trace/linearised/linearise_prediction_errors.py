@@ -36,6 +36,10 @@ _ROWS = SearchOptions.at_a_time
 """Rows that are projected at once: those of some hundred columns fit into a processor's cache."""
 
 
+_POINTS = 2
+"""Points whose preparation is kept: that of a search and the one that it tries."""
+
+
 def linearise(
     point: WorkingPoint,
     record: TraceRecord,
@@ -58,9 +62,10 @@ def linearise(
 
 
 def _prepared(point: WorkingPoint, record: TraceRecord) -> tuple[Along, FilterBank, Array, Array]:
-    """Return what all candidates at a point have in common; of the last point of a record, kept.
+    """Return what all candidates at a point have in common; of the last two points, kept.
 
-    A search asks the same point again and again: of other candidates, or of other shapes of them.
+    A search asks the same point again and again: of other candidates, of other shapes of them, and
+    after another point that was no better.
     """
     key = pickle.dumps(point)
     kept = record.prepared.get(key)
@@ -69,8 +74,11 @@ def _prepared(point: WorkingPoint, record: TraceRecord) -> tuple[Along, FilterBa
         bank = FilterBank.build(point.model, record, here.at, here.kalman, point.hold, here.every)
         own = parameter_columns(point, bank, here.signals)
         kept = here, bank, own, _unknown_basis(point, here, bank)
-        record.prepared.clear()
-        record.prepared[key] = kept
+        while len(record.prepared) >= _POINTS:
+            del record.prepared[next(iter(record.prepared))]
+    else:
+        del record.prepared[key]
+    record.prepared[key] = kept  # the last one, which is kept longest
     return kept
 
 

@@ -87,7 +87,7 @@ class TraceRecord:
     )
     """Cached filters along a moving schedule, by noise: computing them is slow."""
     prepared: dict[bytes, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """What linearise prepared for its last point, which it is often asked of again."""
+    """What linearise prepared for its last points, which it is often asked of again."""
     parts: dict[tuple[int, int], TraceRecord] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )

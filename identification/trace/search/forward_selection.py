@@ -22,10 +22,11 @@ from .backward_elimination import (
 )
 from .candidate_screening import screened
 from .friction_laws import best_laws
-from .gauss_newton import NEARLY, Candidate, gather, refine
+from .gauss_newton import Candidate, gather
 from .nonrigid_screening import asked_first, worth_columns
 from .predictive_criterion import HALF, Criterion, helps, is_worse, tested
 from .prescreening import shortlisted
+from .refine_with_candidate import refined_with
 from .regression import ColumnEvidence
 from .tested_candidate import FRICTION, HeldError, Records, Round, Tried, is_internal
 
@@ -80,8 +81,7 @@ def grown(
             rounds.append(replace(found, taken=None, alternatives=()))
             break
         progress(f"adding {taken.effect.name}", options.share_done(len(rounds)))
-        begun_at = replace(point, placed=(*point.placed, taken.placed))
-        better, squares = refine(begun_at, records, within=NEARLY)
+        better, squares = refined_with(point, taken, train.squares, records)
         taken = _tested_again(point, taken.at(better.placed[-1]), records, options)
         better, squares, stood_in = without_stand_in(
             better, squares, taken, rounds, records, options

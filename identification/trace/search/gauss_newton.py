@@ -73,12 +73,12 @@ def refine(point: WorkingPoint, records: Fitted, within: float = 0.0) -> tuple[W
     train = gather(point, records.train(point))
     damping, crawls, failed = 0.0, False, False
     for _ in range(SearchOptions.steps):
-        step = _step(point, train, 0.0)
+        step = least_squares_step(point, train)
         worth = max(_WORTH_A_STEP, within * abs(train.excess))
         promised = _promised(train, step)
         if promised < worth:
             break
-        moved = stepped(point, _step(point, train, damping) if damping else step)
+        moved = stepped(point, least_squares_step(point, train, damping) if damping else step)
         try:
             after = gather(moved, records.train(moved))
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
@@ -112,8 +112,8 @@ def gather(point: WorkingPoint, records: Sequence[Linearised]) -> ColumnEvidence
     return ColumnEvidence.gather(records, rows)
 
 
-def _step(point: WorkingPoint, train: ColumnEvidence, damping: float) -> Array:
-    """Return the least-squares step.
+def least_squares_step(point: WorkingPoint, train: ColumnEvidence, damping: float = 0.0) -> Array:
+    """Return the least-squares step in [parameters over scale, amplitudes, shapes].
 
     What stands at its bound and would leave it stays there, and the others move as that asks; so
     does what does nothing, as the shape of an effect of no size.

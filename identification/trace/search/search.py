@@ -94,6 +94,10 @@ def _settled(
     point, error, rounds = reached
     # What was fitted last was so while it was not known whether more would come.
     fitted, _ = refine(point, records, within=FULLY)
+    # Noise that is not measured was estimated of a fit that had not converged.
+    likely = records.with_estimated_noise(fitted)
+    if likely is not fitted:
+        fitted, _ = refine(likely, records, within=FULLY)
     if not is_worse(records.held_error(fitted), error, options):
         point = fitted
     plain = with_plain_amplitudes(point, records, options)

@@ -44,6 +44,10 @@ def placed(*identities: str) -> Point:
     return Point(each, Measured(measured=False))
 
 
+def added(point: Point, taken: Tried, *_: object) -> tuple[Point, float]:
+    return replace(point, placed=(*point.placed, taken.placed)), 1e3
+
+
 def round_of(taken: Tried | None, *alternatives: Tried) -> Round:
     return Round(EXCESS, 1e5, (), (), taken, alternatives)
 
@@ -120,7 +124,7 @@ def test_search_continues_without_the_helper_if_held_out_errors_fall(
         "_screened",
         lambda *_: (next(rounds), train, Criterion(OPTIONS, 9e4, 0.0)),
     )
-    monkeypatch.setattr(forward_selection, "refine", lambda point, *_, **__: (point, 1e3))
+    monkeypatch.setattr(forward_selection, "refined_with", added)
     monkeypatch.setattr(forward_selection, "tested", lambda _, some, *__: list(some))
     monkeypatch.setattr(forward_selection, "without_guide", lambda *_: alone)
     monkeypatch.setattr(forward_selection, "without_idle", lambda point, *_: point)
@@ -167,7 +171,7 @@ def test_rejected_effect_is_tried_again_after_another_is_accepted(
         return replace(taken, agreement=CONTRADICTED) if refused else taken
 
     monkeypatch.setattr(forward_selection, "_screened", screened)
-    monkeypatch.setattr(forward_selection, "refine", lambda point, *_, **__: (point, 1e3))
+    monkeypatch.setattr(forward_selection, "refined_with", added)
     monkeypatch.setattr(
         forward_selection, "without_stand_in", lambda point, left, *_: (point, left, None)
     )

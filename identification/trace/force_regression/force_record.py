@@ -10,7 +10,7 @@ level, so that what is missing there tells nothing of any effect.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -44,6 +44,8 @@ _BENT = {"sensor_nonlinearity", "sensor_crosstalk"}
 """Classes of the effects by which a reading is another function of the positions."""
 _INERTIA = {"inertia", "linear_inertia"}
 """Classes of the effects whose force is in proportion to accelerations."""
+_INPUT = {"input_lever"}
+"""Those whose force is in proportion to commands."""
 _RECENT = 2 * SearchOptions.steps
 """Signals that are kept for the next call: of a model with some effects, each at its shape, at the
 shapes of its differences, and with other delays."""
@@ -312,7 +314,7 @@ class ForceRecord:
             if held is not None:
                 changes[i, 0] += self._products(model, B=held)
             if plain is not None:
-                changes[i, kind] -= plain
+                changes[i, kind] += plain if kind == 0 else -plain
             if false is not None:
                 changes[i, 1] -= self._products(model, M=false[2])
                 changes[i, 2] -= self._products(model, D=false[1], K=false[0])
@@ -442,8 +444,24 @@ class ForceRecord:
         )
 
 
+def force_records(
+    records: Sequence[TraceRecord],
+    hold: Hold,
+    cutoff_hz: float,
+    law_hz: Sequence[float],
+    sd: Array,
+) -> tuple[ForceRecord, ...]:
+    """Return records below `cutoff_hz`, the signals for laws of each below its own `law_hz`."""
+    return tuple(
+        ForceRecord.of(r, hold, cutoff_hz, max(cutoff_hz, own_hz), sd)
+        for r, own_hz in zip(records, law_hz, strict=True)
+    )
+
+
 def group_of(effect: Effect) -> int:
     """Return the index in `groups` of the force of an effect, if it acts by a force alone."""
+    if effect.effect_class in _INPUT:
+        return 0
     return 1 if effect.effect_class in _INERTIA else 2
 
 

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from scipy.fft import irfft
 from scipy.signal import csd, fftconvolve
 
+from ....model.declared_model import ModelError
 from ...greybox.experiment.intersample_input import Hold
 from ...rounding import ROUNDING
 from ...subspace.response_uncertainty import SURE_95
 from ..records.record_from_log import TraceRecord
 from ..search_options import SearchOptions
-from .force_record import ForceModel, ForceRecord
+from .force_record import ForceModel, force_records
 from .free_numbers import moved_by, numbers, way
 from .gauss_newton_fit import HALVINGS, gauss_newton_step
 from .intervals import Influences
@@ -91,12 +92,15 @@ def _response(spectra: Sequence[tuple[Complex, Complex]], w: Array, rows: int) -
 
 
 def instruments_of(
-    simulated: Sequence[TraceRecord], training: Training, hold: Hold, law_hz: float, sd: Array
+    simulated: Sequence[TraceRecord],
+    training: Training,
+    hold: Hold,
+    law_hz: Sequence[float],
+    sd: Array,
 ) -> Training:
     """Return projected records as those of `training`, in its band and with its weights."""
     limit_hz = training.whitening.cutoff_hz
-    own = [ForceRecord.of(r, hold, limit_hz, max(limit_hz, law_hz), sd) for r in simulated]
-    return replace(training, records=tuple(own))
+    return replace(training, records=force_records(simulated, hold, limit_hz, law_hz, sd))
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ class Unbiased:
         others: Sequence[Training],
         records: Sequence[TraceRecord],
         hold: Hold,
-        law_hz: float,
+        law_hz: Sequence[float],
         sd: Array,
         options: SearchOptions,
     ) -> Unbiased | None:
@@ -174,10 +178,21 @@ def fit_with_instruments(
             return point
         for halving in range(HALVINGS):
             moved = moved_by(point, step * 0.5**halving)
-            _, after = gauss_newton_step(training, moved, way(begin, moved), instruments)
-            if after @ after < left:
+            if _part_left(training, moved, begin, instruments) < left:
                 point = moved
                 break
         else:
             return point if left < chance else None
     return None
+
+
+def _part_left(
+    training: Training, point: ForceModel, begin: ForceModel, instruments: Training
+) -> float:
+    """Return the squares of the missing force's part in the instruments' columns, infinite for
+    parameters whose mass matrix has no inverse."""
+    try:
+        _, part = gauss_newton_step(training, point, way(begin, point), instruments)
+    except ModelError:
+        return float("inf")
+    return float(part @ part)

@@ -37,7 +37,7 @@ from ..records.searched_effects import SearchedEffects, searched_effects
 from ..search_options import SearchOptions
 from .candidate_fit import Beside, lacked
 from .certainty_of_effects import Certainty, FittedRows, without_effect
-from .force_record import ForceModel, ForceRecord
+from .force_record import ForceModel, ForceRecord, force_records
 from .free_form_of_law_signal import curves_beside_laws
 from .free_numbers import at_limits
 from .gauss_newton_fit import first_fit
@@ -49,7 +49,13 @@ from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
 from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
-from .scale_of_equations import freed_if_told, notes_on_held, with_told_scales
+from .scale_of_equations import (
+    freed_if_told,
+    notes_on_held,
+    with_scale,
+    with_told_scales,
+    without_scales,
+)
 from .search import Progress, Searched, compared, search
 from .simpler_laws import with_plain_laws, with_simpler_laws
 from .training_records import Training, missing_share
@@ -149,9 +155,10 @@ def _traced(
     options = replace(options, blocks=_blocks(records, limit_hz, options))
     begins = [round((1.0 - options.reported) * r.rows) for r in records]
     train = [r.cut(0, at) for r, at in zip(records, begins, strict=True)]
-    law_hz = max(limit_hz, min(velocity_limit(r.experiment, sd) for r in records))
-    fitted = tuple(ForceRecord.of(r, hold, limit_hz, law_hz, sd) for r in train)
-    whole = [ForceRecord.of(r, hold, limit_hz, law_hz, sd) for r in records]
+    # A law bends motion from above the limit into the band. A loud record shows more of it.
+    law_hz = [max(limit_hz, velocity_limit(r.experiment, sd)) for r in records]
+    fitted = force_records(train, hold, limit_hz, law_hz, sd)
+    whole = force_records(records, hold, limit_hz, law_hz, sd)
     reported = _counted_behind(begins, whole)
     places = records[0].places
     covered = extent(train)
@@ -271,7 +278,9 @@ def _lacking(
     """Return the effects that the records can show and that the declared model lacks."""
     places = training.records[0].signals.places
     table = searched_effects(effects, declared.placed, places, covered, overlapping)
-    return replace(table, named=tuple(lacked(declared, table.named, training, options)))
+    named = lacked(declared, table.named, training, options)
+    named = without_scales(declared, named, training, options.told_from_model)
+    return replace(table, named=tuple(named))
 
 
 def _at_limits(point: ForceModel) -> tuple[str, ...]:
@@ -333,7 +342,7 @@ def _unweighed(
     blocks = Blocks.of([r.rows for r in fitted], options.blocks)
     training = Training.unscaled(fitted, plain, blocks)
     start, held_for = with_told_scales(start, training, options.told_from_model)
-    training = training.with_scale(training.at(start), options.told_from_model)
+    training = with_scale(training, training.at(start), options.told_from_model)
     return training, first_fit(training, start), held_for
 
 
@@ -357,7 +366,7 @@ def _weighed(
     weighed = replace(training, whitening=white)
     new = {r.placed.effect.identity for r in found}
     bare = replace(point, placed=tuple(p for p in point.placed if p.effect.identity not in new))
-    weighed = weighed.with_scale(weighed.at(bare), options.told_from_model)
+    weighed = with_scale(weighed, weighed.at(bare), options.told_from_model)
     fit = first_fit(weighed, point)
     before, after = (missing_share(training.plain.at(p)) for p in (point, fit))
     if np.any(after**2 > (1.0 + options.least_gain) * before**2):
@@ -370,17 +379,17 @@ def _training_below(
     train: Sequence[TraceRecord],
     hold: Hold,
     limit_hz: float,
-    law_hz: float,
+    law_hz: Sequence[float],
     sd: Array,
     options: SearchOptions,
 ) -> Training:
     """Return the training records below another limit, weighed by the found model's residual."""
-    records = tuple(ForceRecord.of(r, hold, limit_hz, max(limit_hz, law_hz), sd) for r in train)
+    records = force_records(train, hold, limit_hz, law_hz, sd)
     centred = [r.varying(r.missing_force(point)) for r in records]
     white = whitening_of(centred, [r.band.row_s for r in records], limit_hz)
     blocks = Blocks.of([r.rows for r in records], options.blocks)
     training = Training.unscaled(records, white, blocks)
-    return training.with_scale(training.at(replace(point, placed=())), options.told_from_model)
+    return with_scale(training, training.at(replace(point, placed=())), options.told_from_model)
 
 
 def _between_turns(

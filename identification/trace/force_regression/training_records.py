@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
-from ...rounding import DIFFERENCE, TINY, basis_of
+from ...rounding import DIFFERENCE, TINY
 from ..search_options import SearchOptions
 from .force_record import GROUPS, ForceModel, ForceRecord, Part, group_of
 from .free_numbers import Shape, numbers_of, shapes_beside
@@ -29,15 +29,17 @@ class Evaluated:
     """A model at its present numbers.
 
     missing: weighed missing force of each record (rows, n), times `share`. groups: weighed forces
-    of inputs, inertia and all else (3, rows, n); bare: the same without effects. power (n,): sum of
-    squares of those that set the scale. share (n,): root of the power without effects over that
-    with them, at least 1; relative to Training.reference where that is given.
+    of inputs, inertia and all else (3, rows, n); bare: the same without effects; setting: what of
+    them sets the scale. power (n,): sum of squares of the latter. share (n,): root of the power
+    without effects over that with them, at least 1; relative to Training.reference where that is
+    given.
     """
 
     point: ForceModel
     missing: list[Array]
     groups: list[Array]
     bare: list[Array]
+    setting: list[Array]
     power: Array
     share: Array
 
@@ -67,10 +69,12 @@ class Training:
     that it shares with another one tie its scale, errors count relative to its inputs' force, and
     without an input to its largest force.
 
-    scale (3, n): whether the force of inputs, of inertia or of all else sets it, 1 or 0. reference
-    (n,): power of that force at the begin, nan where a declared number sets the scale. all_free
-    (n,): equations of which every term is free, so that a free form explains them whatever they
-    are; an input with a declared gain is a term that is not.
+    scale (3, n): whether the force of inputs, of inertia or of all else sets it, 1 or 0. Of such a
+    force it is the part that no parameter changes, as that of the one of two actuators that has
+    a known gain. unset (n,): equations without such a part. scaled_at: the model that told so.
+    reference (n,): power of that force at the begin, nan where a declared number sets the scale.
+    all_free (n,): equations of which every term is free, so that a free form explains them whatever
+    they are; an input with a declared gain is a term that is not.
     """
 
     records: tuple[ForceRecord, ...]
@@ -79,6 +83,8 @@ class Training:
     scale: Array
     reference: Array
     all_free: NDArray[np.bool_]
+    unset: NDArray[np.bool_]
+    scaled_at: ForceModel | None = None
     _forces_kept: dict[tuple[str, Shape], _ForcesOfEffect] = field(
         init=False, repr=False, default_factory=dict
     )
@@ -89,9 +95,9 @@ class Training:
     def unscaled(
         cls, records: tuple[ForceRecord, ...], whitening: Whitening, blocks: Blocks
     ) -> Training:
-        """Return training records before `with_scale` has found what sets the equations' scale."""
+        """Return training records before `scale_of_equations.with_scale` has found what sets it."""
         n = records[0].kept[0].shape[1]
-        none = np.full(n, np.nan), np.zeros(n, bool)
+        none = np.full(n, np.nan), np.zeros(n, bool), np.ones(n, bool)
         return cls(records, whitening, blocks, np.zeros((len(GROUPS), n)), *none)
 
     def at(self, point: ForceModel) -> Evaluated:
@@ -103,18 +109,50 @@ class Training:
         return known
 
     def _at(self, point: ForceModel) -> Evaluated:
-        both = self._weighed(np.stack(r.bare_and_whole(point)) for r in self.records)
-        bare, groups = [b for b, _ in both], [g for _, g in both]
-        power = self._power(groups)
+        bare, groups = self._bare_and_whole(point)
+        setting = self._setting(bare, groups)
+        power = self._power(setting)
         share = np.ones(len(power))
         if point.placed:
-            plain = self._power(bare)
+            plain = self._power(self._setting(bare, bare))
             ratio = np.divide(plain, power, out=np.ones(len(power)), where=power > 0.0)
             share = np.sqrt(np.maximum(ratio, 1.0))
         free = np.isfinite(self.reference) & (power > 0.0)
         share[free] = np.sqrt(self.reference[free] / power[free])
         missing = [share * (g[1] + g[2] - g[0]) for g in groups]
-        return Evaluated(point, missing, groups, bare, power, share)
+        return Evaluated(point, missing, groups, bare, setting, power, share)
+
+    def _bare_and_whole(self, point: ForceModel) -> tuple[list[Array], list[Array]]:
+        both = self._weighed(np.stack(r.bare_and_whole(point)) for r in self.records)
+        return [b for b, _ in both], [g for _, g in both]
+
+    def _setting(self, bare: list[Array], groups: list[Array]) -> list[Array]:
+        """Return what sets the scale of each equation, of each record (3, rows, n).
+
+        It is what effects make of the part that no parameter changes. Where there is none, it is
+        all.
+        """
+        if self.scaled_at is None or self.unset.all():
+            return groups
+        return [
+            np.where(self.unset, g, fixed + (g - b))
+            for fixed, b, g in zip(self.fixed, bare, groups, strict=True)
+        ]
+
+    @cached_property
+    def fixed(self) -> list[Array]:
+        """What no parameter changes of the groups without effects, of each record (3, rows, n).
+
+        Forces are linear in the parameters, but for those of the timing, which stay.
+        """
+        assert self.scaled_at is not None
+        point = replace(self.scaled_at, placed=())
+        timing = point.model.lag.names | point.model.delay.names
+        parts = point.values / point.parameters.scale
+        parts[[name in timing for name in point.parameters.names]] = 0.0
+        bare, _ = self._bare_and_whole(point)
+        changes = self._parameter_changes(point)
+        return [b - np.tensordot(parts, c, 1) for b, c in zip(bare, changes, strict=True)]
 
     def forces(
         self, at: Evaluated, effect: Effect, shape: Shape, keep: bool = False
@@ -125,8 +163,7 @@ class Training:
         root of the power by each. keep: whether filtered signals are kept for the next call.
         """
         if not keep:
-            own = (r.group_changes(at.point, effect, shape) for r in self.records)
-            return self._forces_of(at, self._weighed(own))
+            return self._forces_of(at, self.group_changes(at.point, effect, shape))
         parts = [r.parts(at.point, effect, shape, keep) for r in self.records]
         known = self._forces_kept.get((effect.identity, shape))
         if known is None or any(a is not b for a, b in zip(known.parts, parts, strict=True)):
@@ -134,14 +171,17 @@ class Training:
                 r.group_changes(at.point, effect, shape, keep) for r in self.records
             )
             own_parts = [part for of_record in parts for part in of_record]
-            if any(held is not None or false is not None for _, held, false in own_parts):
+            of_input = group_of(effect) == 0
+            if of_input or any(
+                held is not None or false is not None for _, held, false in own_parts
+            ):
                 return self._forces_of(at, changes)
             known = _ForcesOfEffect(parts, [-c[:, group_of(effect)] for c in changes])
             self._forces_kept[effect.identity, shape] = known
         scale = self.scale[group_of(effect)]
         along = sum(
             np.sum(f * (g[group_of(effect)] * scale), axis=1)
-            for f, g in zip(known.forces, at.groups, strict=True)
+            for f, g in zip(known.forces, at.setting, strict=True)
         )
         return [at.share * f for f in known.forces], -along / np.maximum(at.power, TINY)
 
@@ -150,7 +190,7 @@ class Training:
         along = np.sum(
             [
                 np.sum(c * g * self.scale[:, None], axis=(1, 2))
-                for c, g in zip(changes, at.groups, strict=True)
+                for c, g in zip(changes, at.setting, strict=True)
             ],
             axis=0,
         )
@@ -182,6 +222,11 @@ class Training:
         counts = np.isfinite(self.reference) | (shrinks & (at.share > 1.0))
         pull = np.where(counts, pull, 0.0)
         return [f + pull[:, None, :] * m for f, m in zip(forces, at.missing, strict=True)]
+
+    def group_changes(self, point: ForceModel, effect: Effect, shape: Shape) -> list[Array]:
+        """Return the changes of the groups by each amplitude of an effect (amplitudes, 3, rows, n)
+        beside a model, each record."""
+        return self._weighed(r.group_changes(point, effect, shape) for r in self.records)
 
     def group_columns(self, at: Evaluated) -> list[Array]:
         """Return the changes of the groups by all free numbers, in order (C, 3, rows, n)."""
@@ -230,7 +275,10 @@ class Training:
 
     def parameter_changes(self, at: Evaluated) -> list[Array]:
         """Return the changes of the groups by each free parameter in its scale (F, 3, rows, n)."""
-        point, steps = at.point, DIFFERENCE * np.diag(at.point.parameters.scale)
+        return self._parameter_changes(at.point)
+
+    def _parameter_changes(self, point: ForceModel) -> list[Array]:
+        steps = DIFFERENCE * np.diag(point.parameters.scale)
         pairs = [
             (point.with_values(point.values - step), point.with_values(point.values + step))
             for step in steps
@@ -265,38 +313,13 @@ class Training:
         pick = [*range(base), base + more]
         wide[np.ix_(pick, pick)] = prior
         power = np.zeros((len(at.power), len(wide), len(wide)))
-        for changes, now in zip(groups, at.groups, strict=True):
+        parameters = len(at.point.values)
+        for changes, now in zip(groups, at.setting, strict=True):
             whole = np.concatenate([changes, now[None]]) * self.scale[:, None]
+            whole[:parameters] *= self.unset
             whole = np.moveaxis(whole, -1, 0).reshape(len(at.power), len(wide), -1)
             power += whole @ np.swapaxes(whole, 1, 2)
         return Columns(self.blocks.grams(columns, at.missing), power, wide)
-
-    def with_scale(self, at: Evaluated, told_from_model: float) -> Training:
-        """Return the records with the scale of each equation set by what no number is free of.
-
-        A force sets the scale if more than `told_from_model` of its square is beside the columns.
-        """
-        changes, n = self.group_columns(at), len(at.power)
-        columns, scale = self.columns(at, changes), np.zeros((len(GROUPS), n))
-        for i in range(n):
-            J = np.concatenate([c[:, :, i] for c in columns], axis=1).T
-            for kind in range(len(GROUPS)):
-                force = np.concatenate([g[kind, :, i] for g in at.groups])
-                left = _beside(J, force)
-                scale[kind, i] = left @ left > told_from_model * float(force @ force)
-        all_free = _all_free(at, changes, told_from_model)
-        free = ~scale.any(axis=0) | all_free
-        scale[:, free] = 0.0
-        powers = np.sum([np.sum(g**2, axis=1) for g in at.groups], axis=0)
-        first = np.where(powers[0] > 0.0, 0, np.argmax(powers, axis=0))
-        scale[first[free], np.flatnonzero(free)] = 1.0
-        reference = powers[first, np.arange(n)]
-        return replace(
-            self,
-            scale=scale,
-            reference=np.where(free, reference, np.nan),
-            all_free=all_free,
-        )
 
     def counts(self, at: Evaluated, amplitudes: Array, pull: Array) -> NDArray[np.bool_]:
         """Return whether an effect's change of the power counts for each DOF (n,)."""
@@ -365,27 +388,6 @@ class Training:
     def _constants(self) -> list[Array]:
         """A constant force where DOF move, with weights, of each record (rows, n)."""
         return [self.whitening.apply(r.moves, r.band.row_s) for r in self.records]
-
-
-def _all_free(at: Evaluated, changes: Sequence[Array], told: float) -> NDArray[np.bool_]:
-    """Return where a change of the parameters changes all forces in proportion (n,).
-
-    changes: of the groups by each parameter. told: share of a squared force that must remain beside
-    them for it not to be free.
-    """
-    found = []
-    for i in range(len(at.power)):
-        J = np.hstack([c[..., i].reshape(len(c), c.shape[1] * c.shape[2]) for c in changes]).T
-        force = np.concatenate([g[..., i].reshape(-1) for g in at.groups])
-        left = _beside(J, force)
-        found.append(left @ left <= told * float(force @ force))
-    return np.array(found)
-
-
-def _beside(J: Array, force: Array) -> Array:
-    """Return what columns (rows, C) leave of a force (rows,)."""
-    Q = basis_of(J)
-    return np.asarray(force - Q @ (Q.T @ force))
 
 
 def missing_share(at: Evaluated) -> Array:

@@ -152,7 +152,9 @@ def test_numbers_that_became_small_together_grow_again(share: float) -> None:
     flat = Whitening(np.array([0.0, found.limit_hz]), density, found.limit_hz)
     blocks = Blocks.of([r.rows for r in found.fitted], found.options.blocks)
     training = Training.unscaled(found.fitted, flat, blocks)
-    training = training.with_scale(training.at(point), found.options.told_from_model)
+    training = scale_of_equations.with_scale(
+        training, training.at(point), found.options.told_from_model
+    )
     assert np.isfinite(training.reference[1])
     of_arm = np.isin(free.names, ["ml", "j", "c"])
     fitted = fit_numbers(training, point.with_values(np.where(of_arm, share, 1.0) * point.values))

@@ -46,8 +46,9 @@ The effects that `levid trace` tries: what a plant may do and its declared model
   fit a session about equally well are reported together.
 - **At** is `q` and *each actuator* for any plant that is not the rig: `q` is each DOF, and an
   actuator has the name of its input; *q and q2* is each pair of DOF. Units there are those of a
-  DOF in m and a command in N. Its sensors have the effects `reading.*`, at their DOF; those at a
-  sensor are the rig's.
+  DOF in m and a command in N. Laws of stiffness, damping, friction and backlash also act on each
+  relative motion that a spring or damper of the model sees, as *q - q2*. Its sensors have the
+  effects `reading.*`, at their DOF; those at a sensor are the rig's.
 - **Numbers in brackets** at the end of a name are of the records: the mean position q_m and command
   F_m around which the equation is written, or the RMS speed or deflection at which it gives the
   force. Other records give other numbers, and the same law.
@@ -68,7 +69,8 @@ def page() -> str:
         rows = families.setdefault(_module(effect).__name__, {})
         rows.setdefault(_row_of(effect), []).append(effect)
     others = all_effects(one_dof("m", "N"))
-    for more in (one_dof("rad", "N m"), two_dof()):
+    two = two_dof(), two_dof("m", "rad"), two_dof("rad", "rad")
+    for more in (one_dof("rad", "N m"), *two):
         known_keys = {e.key for e in others}
         others += tuple(e for e in all_effects(more) if e.key not in known_keys)
     for effect in others:
@@ -109,11 +111,13 @@ def one_dof(unit: str, force: str) -> Places:
     )  # fmt: skip
 
 
-def two_dof() -> Places:
-    """Return the same with two inputs and two outputs."""
+def two_dof(*units: str) -> Places:
+    """Return the same with two inputs and two outputs, of some units."""
+    units = units or ("m", "m")
     two, nowhere = np.eye(2), np.zeros((0, 2))
+    commands = tuple("N m" if unit == "rad" else "N" for unit in units)
     return Places(
-        ("q", "q2"), ("m", "m"), two, two, "N", ("N", "N"), "m", nowhere, nowhere, beam=False,
+        ("q", "q2"), units, two, two, "N", commands, "m", nowhere, nowhere, beam=False,
         input_names=(ACTUATOR, "another one"),
     )  # fmt: skip
 

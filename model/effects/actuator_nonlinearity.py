@@ -24,7 +24,7 @@ from functools import partial
 
 import numpy as np
 
-from .base import Effect, Places, Quantity, Signals, Term, on_coil
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil, total
 from .force_units import per_unit, unit_power
 from .lag_and_hysteresis_recursions import play
 from .operating_range import Extent
@@ -37,6 +37,7 @@ _LEVELS = tuple(0.5 * k for k in range(6, round(2 * _MOST_LEVELS)))
 """Start values of the same: half a step apart at the largest command, as the rounding of two steps
 farther apart has nothing in common."""
 _TWO_AMPLITUDES = "excitation of one actuator at a time, at two amplitudes"
+SAME_FOR_ALL = ", same for all coils"
 _POWERS = {
     "squared": ("Actuator with a squared characteristic", 2, "F |F|"),
     "quadratic": ("Quadratic nonlinearity of an actuator", 2, "F^2"),
@@ -58,15 +59,17 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     if places.beam:
         return []
     found = []
+    if places.coils > 1 and places.one_command_unit:
+        found.append(_static(places, range(places.coils), "squared", 0.0))
     for c in range(places.coils):
         where, unit = (places.actuator(c),), places.command_unit(c)
         largest = extent.largest_command((c,))
         found += [
-            _static(places, c, "squared", 0.0),
-            _static(places, c, "quadratic", extent.mean_command(c)),
-            _static(places, c, "cubic", 0.0),
-            _static(places, c, "root", 0.0),
-            _static(places, c, "asymmetric", 0.0),
+            _static(places, (c,), "squared", 0.0),
+            _static(places, (c,), "quadratic", extent.mean_command(c)),
+            _static(places, (c,), "cubic", 0.0),
+            _static(places, (c,), "root", 0.0),
+            _static(places, (c,), "asymmetric", 0.0),
         ]
         found.append(
             Effect(
@@ -127,11 +130,12 @@ def quadratic_actuator(places: Places, key: str, where: Sequence[str]) -> Effect
     found = _KEY.fullmatch(key)
     if found is None or places.beam or len(where) != 1 or where[0] not in places.actuators:
         return None
-    return _static(places, places.actuators.index(where[0]), "quadratic", float(found[1] or 0.0))
+    coil = places.actuators.index(where[0])
+    return _static(places, (coil,), "quadratic", float(found[1] or 0.0))
 
 
-def _static(places: Places, coil: int, name: str, at: float) -> Effect:
-    """Return a power of the command, less `at`, at one actuator.
+def _static(places: Places, coils: Sequence[int], name: str, at: float) -> Effect:
+    """Return a power of the command, less `at`, at one actuator, or the same at some.
 
     About the mean command the gain of the model keeps its meaning. About zero it is the slope there
     and the number may have no bound: that of a propeller with a purely squared thrust has none.
@@ -139,12 +143,12 @@ def _static(places: Places, coil: int, name: str, at: float) -> Effect:
     title, power, added = _POWERS[name]
     return Effect(
         f"actuator.{name}" + (f"[{at:g}]" if at else ""),
-        title,
+        title + (places.worded(SAME_FOR_ALL) if len(coils) > 1 else ""),
         "actuator_nonlinearity",
-        (places.actuator(coil),),
+        tuple(places.actuator(c) for c in coils),
         f"force = F + a {added}" if not at else f"force = F + a (F - F_m)^2, F_m = {at:g}",
-        (Quantity("a", _unit_of(places.command_unit(coil), power)),),
-        partial(_power, coil=coil, name=name, at=at),
+        (Quantity("a", _unit_of(places.command_unit(coils[0]), power)),),
+        partial(_power, coils=coils, name=name, at=at),
         absorbed_by=_LINEAR,
         told_apart_by=_TWO_AMPLITUDES,
     )
@@ -158,17 +162,19 @@ def _unit_of(unit: str, power: float) -> str:
 
 
 def _power(
-    signals: Signals, _shape: Sequence[float], *, coil: int, name: str, at: float
+    signals: Signals, _shape: Sequence[float], *, coils: Sequence[int], name: str, at: float
 ) -> list[Term]:
-    F = signals.coil[:, coil] - at
-    size = np.abs(F)
-    laws = {
-        "squared": F * size,
-        "quadratic": F * F,
-        "asymmetric": size,
-        "root": np.sign(F) * np.sqrt(size),
-    }
-    return [on_coil(signals, coil, laws.get(name, F**3))]
+    def law(F: Array) -> Array:
+        size = np.abs(F)
+        laws = {
+            "squared": F * size,
+            "quadratic": F * F,
+            "asymmetric": size,
+            "root": np.sign(F) * np.sqrt(size),
+        }
+        return laws.get(name, F**3)
+
+    return [total([on_coil(signals, c, law(signals.coil[:, c] - at)) for c in coils])]
 
 
 def _times_speed(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:

@@ -16,7 +16,8 @@ from functools import partial
 
 import numpy as np
 
-from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil
+from .actuator_nonlinearity import SAME_FOR_ALL
+from .base import Array, Effect, Places, Quantity, Signals, Term, on_coil, total
 from .force_units import per_unit
 from .lag_and_hysteresis_recursions import lagged_within, with_moment
 from .operating_range import Extent
@@ -35,11 +36,14 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return both squares of every actuator; empty for the rig."""
     if places.beam:
         return []
-    return [
-        _after(places, c, name, extent.mean_command(c) if name == "quadratic" else 0.0)
+    single = [
+        _after(places, (c,), name, extent.mean_command(c) if name == "quadratic" else 0.0)
         for c in range(places.coils)
         for name in _SQUARES
     ]
+    if places.coils == 1 or not places.one_command_unit:
+        return single
+    return [_after(places, range(places.coils), "squared", 0.0), *single]
 
 
 def quadratic_after_lag(places: Places, key: str, where: Sequence[str]) -> Effect | None:
@@ -47,19 +51,21 @@ def quadratic_after_lag(places: Places, key: str, where: Sequence[str]) -> Effec
     found = _KEY.fullmatch(key)
     if found is None or places.beam or len(where) != 1 or where[0] not in places.actuators:
         return None
-    return _after(places, places.actuators.index(where[0]), "quadratic", float(found[1] or 0.0))
+    coil = places.actuators.index(where[0])
+    return _after(places, (coil,), "quadratic", float(found[1] or 0.0))
 
 
-def _after(places: Places, coil: int, name: str, at: float) -> Effect:
+def _after(places: Places, coils: Sequence[int], name: str, at: float) -> Effect:
     return Effect(
         f"actuator.{name}_after_lag" + (f"[{at:g}]" if at else ""),
-        f"Actuator with {_SQUARES[name]} after its lag",
+        f"Actuator with {_SQUARES[name]} after its lag"
+        + (places.worded(SAME_FOR_ALL) if len(coils) > 1 else ""),
         "actuator_nonlinearity",
-        (places.actuator(coil),),
+        tuple(places.actuator(c) for c in coils),
         f"force = F_l + a {_square_in_words(name, at)}, F_l the command after the lag"
         + _mean_in_words(at),
-        (Quantity("a", per_unit(places.command_unit(coil), 1)),),
-        partial(_after_lag, coil=coil, square=partial(_square, name=name, at=at)),
+        (Quantity("a", per_unit(places.command_unit(coils[0]), 1)),),
+        partial(_after_lag, coils=coils, square=partial(_square, name=name, at=at)),
         absorbed_by=_LINEAR,
         told_apart_by=_TOLD_APART,
         before_lag=f"actuator.{name}" + (f"[{at:g}]" if at else ""),
@@ -75,18 +81,20 @@ def _mean_in_words(at: float) -> str:
 
 
 def _after_lag(
-    signals: Signals, _shape: Sequence[float], *, coil: int, square: Square
+    signals: Signals, _shape: Sequence[float], *, coils: Sequence[int], square: Square
 ) -> list[Term]:
-    F, tau_s = signals.coil[:, coil], signals.lag_s
-    if tau_s <= 0.0:
-        return [on_coil(signals, coil, square(F)[0])]
+    def held(F: Array) -> Array:
+        if signals.lag_s <= 0.0:
+            return square(F)[0]
 
-    def before_the_lag(F_l: Array) -> Array:
-        # The command S + tau S' is the square S after the model's lag; tau F_l' = F - F_l.
-        S, slope = square(F_l)
-        return S + slope * (F - F_l)
+        def before_the_lag(F_l: Array) -> Array:
+            # The command S + tau S' is the square S after the model's lag; tau F_l' = F - F_l.
+            S, slope = square(F_l)
+            return S + slope * (F - F_l)
 
-    return [on_coil(signals, coil, _over_periods(F, tau_s, signals.Ts_s, before_the_lag))]
+        return _over_periods(F, signals.lag_s, signals.Ts_s, before_the_lag)
+
+    return [total([on_coil(signals, c, held(signals.coil[:, c])) for c in coils])]
 
 
 def _over_periods(F: Array, tau_s: float, Ts_s: float, law: Callable[[Array], Array]) -> Array:

@@ -190,7 +190,9 @@ def _exponential(places: Places, i: int, way: str, extent: Extent) -> Effect:
 
 def _hardening(signals: Signals, shape: Sequence[float], *, dof: int, sign: float) -> list[Term]:
     away = sign * signals.q[:, dof] / shape[0]
-    return [on_dof(signals, dof, -sign * np.expm1(away))]
+    with np.errstate(over="ignore"):  # a fit may try a travel that hardens beyond all numbers
+        force = -sign * np.expm1(away)
+    return [on_dof(signals, dof, force)]
 
 
 def _power_of_pose(

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...identification.trace.search_options import SearchOptions
 from ...identification.trace.trace_outcome import NOISE_MOST
+from ...identification.value_with_interval import percent
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.number_format import times_text
 from ..session.session_page import listed
@@ -196,4 +197,10 @@ def _rest_of_imported(result: ForceOutcome) -> str:
         f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if several else "")
         for e, name in zip(result.after.force_percent, result.dof, strict=True)
     )
-    return f"No undeclared effect was confirmed. The model leaves {left} unexplained.{lacks}"
+    if clauses:
+        return f"No undeclared effect was confirmed. The model leaves {left} unexplained.{lacks}"
+    within = percent(SearchOptions().least_force, 1)
+    return (
+        f"No undeclared effect was confirmed. The model leaves {left}, which is noise to within "
+        f"{within} of that force."
+    )

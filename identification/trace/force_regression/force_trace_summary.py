@@ -147,6 +147,8 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
     floor = sizes[2] if free_run and trace.noise_stated else None
     by_form = _worth(trace, PERCENT * trace.rows.missing, PERCENT * trace.rows.any_law)
     beyond = _worth(trace, after.force_percent, after.noise_percent)
+    # What an effect would take of noise alone is no hint of it.
+    nearest = _nearest(trace) if beyond or by_form else ""
     turning = _only_at_turns(trace)
     return ForceOutcome(
         _laws(trace),
@@ -163,7 +165,7 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         {name: share for name, share in by_form.items() if name not in turning},
         turning,
         trace.places.dof,
-        _nearest(trace),
+        nearest,
     )
 
 

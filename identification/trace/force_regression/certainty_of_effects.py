@@ -88,6 +88,7 @@ class Certainty:
         base = numbers(found.point)
         richer = _with_what_came_near(found, training, options)
         moved = [numbers(model)[: len(base)] - base for model in richer]
+        moved += _with_another_member(found, training)
         if unbiased is None or not unbiased.large:
             point, instruments = found.point, None
             moved += [numbers(fit_numbers(other, point)) - base for other in others]
@@ -197,6 +198,27 @@ def _with_what_came_near(
     before = np.linalg.norm(missing_share(plain.at(found.point)))
     fitted = [fit_numbers(training, point) for point in more]
     return [p for p in fitted if np.linalg.norm(missing_share(plain.at(p))) < before]
+
+
+def _with_another_member(found: Searched, training: Training) -> list[Array]:
+    """Return the changes of all numbers (K,) by each alternative in the place of its effect.
+
+    Records that do not tell an effect from another one do not tell what the model's numbers are
+    with the other one. Those of the effects are no numbers of it, and do not change.
+    """
+    point, count = found.point, len(found.point.values)
+    changes = []
+    for rated in found.rated:
+        for other in rated.alternatives:
+            identity = rated.placed.effect.identity
+            placed = tuple(
+                other.placed if p.effect.identity == identity else p for p in point.placed
+            )
+            fitted = fit_numbers(training, replace(point, placed=placed))
+            change = np.zeros_like(numbers(point))
+            change[:count] = fitted.values - point.values
+            changes.append(change)
+    return changes
 
 
 def _left_share(

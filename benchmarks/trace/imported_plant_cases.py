@@ -1,7 +1,8 @@
 """Draw plants that are not the rig, without an effect, and the model that is declared for each.
 
 A drive on triangles in a loop, a motor with a geared load (outputs: motor and twist), a pendulum in
-open loop, a stage with two coupled axes, a magnet that levitates in a loop and is unstable without.
+open loop, a stage with two coupled axes, a magnet that levitates in a loop and is unstable without,
+a helicopter on a stand, whose propellers turn both axes by gains of which only a half is known.
 Declared parameters are 10 to 20 % off; the declared input gain is exact, or off by 2 to 8 %: then
 all forces of the model are, in the same ratio.
 """
@@ -31,8 +32,9 @@ OFF, GAIN_OFF = (0.1, 0.2), (0.02, 0.08)
 class Plant:
     """A plant before it has an effect: names and units, parameters, matrices, reference signals.
 
-    parameters: values with units; matrices: entries of M, D, K are sums of parameter names. gain
-    (n, m): B. v (N, m). noise: of y, over the standard deviation of the motion.
+    parameters: values with units; matrices: entries of M, D, K are sums of parameter names; of B,
+    if it is there, names of those that are free. gain (n, m): B. v (N, m). noise: of y, over the
+    standard deviation of the motion.
     """
 
     dof: dict[str, str]
@@ -61,9 +63,10 @@ class Plant:
         columns = []
         for name in self.parameters:
             column = np.zeros_like(motion.q)
-            for key, signal in (("M", motion.a), ("D", motion.w), ("K", motion.q)):
-                has = [[name in e.split(" + ") for e in row] for row in self.matrices[key]]
-                column += signal @ np.array(has, dtype=float).T
+            signals = {"M": motion.a, "D": motion.w, "K": motion.q, "B": motion.u}
+            for key, rows in self.matrices.items():
+                has = [[name in e.split(" + ") for e in row] for row in rows]
+                column += signals[key] @ np.array(has, dtype=float).T
             columns.append(column.reshape(-1))
         columns += [np.tile(np.eye(n)[i], len(motion.q)) for i in range(n)]
         X = np.stack(columns, axis=1)
@@ -176,8 +179,38 @@ def levitation(rng: Generator) -> Plant:
     return Plant({"y": "m"}, {"i": "A"}, parameters, matrices, *loop, 3e-4)
 
 
+def helicopter(rng: Generator) -> Plant:
+    """Return a helicopter on a stand, yaw held by a slow loop; noise up to 2 Hz, 40 s at 200 Hz.
+
+    What each propeller does to its own axis is known, what it does to the other one is free.
+    """
+    Ts_s = 0.005
+    (j_p, j_y), (d_p, d_y) = rng.uniform(((0.02, 0.02), (0.03, 0.05)), ((0.06, 0.06), (0.1, 0.1)))
+    k_p, b = rng.uniform(0.2, 0.6), rng.uniform(0.04, 0.08, 2)
+    c = b * rng.uniform(0.1, 0.3, 2) * rng.choice([-1.0, 1.0], 2)
+    rate = 2 * np.pi * 0.3
+    kp = np.diag([0.0, j_y * rate**2 / b[1]])
+    kd = np.diag([0.0, 1.4 * j_y * rate / b[1] / Ts_s])
+    v = 2.0 * np.stack([low_pass_noise(rng, 8000, Ts_s, 2.0) for _ in b], axis=1)
+    parameters = {
+        "j_p": (j_p, "kg m2"), "j_y": (j_y, "kg m2"), "d_p": (d_p, "N m s/rad"),
+        "d_y": (d_y, "N m s/rad"), "k_p": (k_p, "N m/rad"),
+        "k_py": (float(c[0]), "N m/V"), "k_yp": (float(c[1]), "N m/V"),
+    }  # fmt: skip
+    matrices = {
+        "M": [["j_p", ""], ["", "j_y"]],
+        "D": [["d_p", ""], ["", "d_y"]],
+        "K": [["k_p", ""], ["", ""]],
+        "B": [["", "k_py"], ["k_yp", ""]],
+    }
+    gain = np.array([[b[0], c[0]], [c[1], b[1]]])
+    dof, inputs = {"pitch": "rad", "yaw": "rad"}, {"v_p": "V", "v_y": "V"}
+    noise = 10.0 ** rng.uniform(-4.0, -3.0)
+    return Plant(dof, inputs, parameters, matrices, gain, Ts_s, v, kp, kd, noise)
+
+
 PLANTS: Mapping[str, Callable[[Generator], Plant]] = {
-    f.__name__: f for f in (drive, geared, pendulum, stage, levitation)
+    f.__name__: f for f in (drive, geared, pendulum, stage, levitation, helicopter)
 }
 """Functions that draw a plant, by name."""
 
@@ -197,6 +230,9 @@ def declared(plant: Plant, rng: Generator, gain_off: bool) -> tuple[ModelConfig,
     axes = {"dof": plant.dof, "inputs": plant.inputs}
     named = {k: [{"name": n, "unit": u} for n, u in a.items()] for k, a in axes.items()}
     entries = {k: [[e or 0.0 for e in r] for r in rows] for k, rows in plant.matrices.items()}
+    known = (ratio * plant.gain).tolist()
+    free = plant.matrices.get("B", [[""] * len(plant.inputs)] * len(plant.dof))
+    B = [[f or k for f, k in zip(*rows, strict=True)] for rows in zip(free, known, strict=True)]
     plain: dict[str, Any] = {"levid": "model", "name": "plant", "parameters": parameters}
-    plain |= {**named, **entries, "B": (ratio * plant.gain).tolist()}
+    plain |= {**named, **entries, "B": B}
     return parse(plain, ModelConfig, "plant"), float(ratio)

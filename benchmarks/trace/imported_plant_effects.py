@@ -162,6 +162,7 @@ CASES = {
         "none", "magnet", "squared_actuator", "drag", "drift", "lag", "quantised", "delay",
         "bearing",
     ),
+    "helicopter": (*_ANYWHERE, *_RUBBING),
 }  # fmt: skip
 """Effects of each plant."""
 PAIRS = {
@@ -179,6 +180,7 @@ PAIRS = {
     "stage": ("coulomb+squared_actuator", "cubic_stiffness+drag", "dead_zone+drag", "stop+coulomb",
               "saturation+second_order", "lag+squared_actuator"),
     "levitation": ("magnet+drag", "lag+magnet"),
+    "helicopter": ("coulomb+drag", "lag+squared_actuator", "squared_actuator+coulomb"),
 }  # fmt: skip
 """Pairs of effects of each plant, each drawn by itself. A command passes those of one input in
 their order."""

@@ -75,6 +75,7 @@ QUICKEST = ("pendulum", "levitation", "stage", "drive", "geared")
         *((next(p for p in QUICKEST if law in CASES[p]), law) for law in LAWS),
         ("pendulum", "gravity+coulomb"),
         ("stage", "coulomb+squared_actuator"),
+        ("helicopter", "coulomb+drag"),
     ],
 )
 def test_forces_and_motion_of_a_case_balance(plant: str, law: str) -> None:

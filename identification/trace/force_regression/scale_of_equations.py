@@ -8,6 +8,7 @@ it is asked before the search, of an equation as right as declared ones are, and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -185,7 +186,8 @@ def _way_of_scale(
     """
     force = np.sqrt(np.sum([np.sum(g * g, axis=(0, 1)) for g in at.groups], axis=0))
     size = np.maximum(force, TINY)
-    J = np.concatenate([(c / size).reshape(len(c), -1) for c in changes], axis=1).T
+    each = [(c / size).reshape(len(c), math.prod(c.shape[1:])) for c in changes]
+    J = np.concatenate(each, axis=1).T
     of_each = np.eye(len(at.power)) / size
     whole = [np.concatenate([(g * one).reshape(-1) for g in at.groups]) for one in of_each]
     target = whole.pop(equation)

@@ -1,9 +1,9 @@
 """Trace imported records of plants that are not the rig: names, intervals, missing force, time.
 
-A drive, a geared motor, a pendulum, a stage, a levitating magnet and a helicopter, each alone and
-with one of the effects of imported_plant_effects.py, of a size that leaves 3 to 30 % of the force
-unexplained by a linear model. The declared models are linear; of every second seed the input gain
-is wrong too.
+A drive, a geared motor, a pendulum, a stage, a levitating magnet and a helicopter, each without an
+effect and with one of the effects of imported_plant_effects.py, of a size that leaves 3 to 30 % of
+the force unexplained by a linear model. The declared models are linear; of every second seed the
+input gain is wrong too.
 
 A report is *right* if its class and place are those of an effect in the plant; *in a group* if only
 an alternative of an ambiguous report is. A plant with two effects is right if both are named. A

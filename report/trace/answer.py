@@ -11,7 +11,7 @@ import numpy as np
 
 from ...identification.trace.search_options import SearchOptions
 from ...identification.trace.trace_outcome import NOISE_MOST
-from ...identification.value_with_interval import percent
+from ...identification.value_with_interval import PERCENT, percent
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.number_format import times_text
 from ..session.session_page import listed
@@ -197,10 +197,11 @@ def _rest_of_imported(result: ForceOutcome) -> str:
         f"{e:.3g} % of the inputs' force" + (f" at {symbol(name)}" if several else "")
         for e, name in zip(result.after.force_percent, result.dof, strict=True)
     )
-    if clauses:
+    least = SearchOptions().least_force
+    noise = result.after.noise_percent + PERCENT * least
+    if clauses or not np.all(result.after.force_percent <= noise):
         return f"No undeclared effect was confirmed. The model leaves {left} unexplained.{lacks}"
-    within = percent(SearchOptions().least_force, 1)
     return (
         f"No undeclared effect was confirmed. The model leaves {left}, which is noise to within "
-        f"{within} of that force."
+        f"{percent(least, 1)} of that force."
     )

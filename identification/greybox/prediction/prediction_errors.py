@@ -19,8 +19,6 @@ Array = NDArray[np.float64]
 
 _DECAYED = 1e-14
 """Share of an initial state's effect in the rows that count below which it is not fitted."""
-_AT_A_TIME = 1024
-"""Rows of an initial state's effect that are computed before it is asked whether it has decayed."""
 
 
 @dataclass(frozen=True)
@@ -127,10 +125,13 @@ def _errors_and_unknowns(at: Motion, kalman: Filter, experiment: Experiment) -> 
 
 
 def _fill_with_start(still: Motion, kalman: Filter, x: Array, out: Array) -> None:
-    """Fill `out` (N, n) with the effect of a state `x` (2n,) at row 0, zero once it has decayed."""
-    largest = 0.0
-    for first in range(0, len(out), _AT_A_TIME):
-        rows = slice(first, min(first + _AT_A_TIME, len(out)))
+    """Fill `out` (N, n) with the effect of a state `x` (2n,) at row 0, zero once it has decayed.
+
+    Whether it has is asked whenever the number of rows has doubled.
+    """
+    first, end, largest = 0, filter_kernels.STILL_ROWS, 0.0
+    while first < len(out):
+        rows = slice(first, min(end, len(out)))
         there = still.rows(rows.start, rows.stop)
         out[rows], x = run_filter(there, kalman.gain[rows], np.zeros_like(out[rows]), x)
         now = float(np.max(np.abs(out[rows])))
@@ -138,6 +139,7 @@ def _fill_with_start(still: Motion, kalman: Filter, x: Array, out: Array) -> Non
         if now <= _DECAYED * largest:
             out[rows.stop :] = 0.0
             return
+        first, end = end, 2 * end
 
 
 def _steady(at: Motion, force: Array) -> Array:

@@ -13,12 +13,16 @@ from functools import cache
 import numpy as np
 import pytest
 
+from levid.benchmarks.trace.imported_plant_cases import low_pass_noise
 from levid.benchmarks.trace.imported_plant_simulation import Acting, Kind, Linear, simulated
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.trace.force_regression.force_record import ForceModel
-from levid.identification.trace.force_regression.force_trace_summary import force_summary
+from levid.identification.trace.force_regression.force_trace_summary import (
+    force_outcome,
+    force_summary,
+)
 from levid.identification.trace.force_regression.held_out_gain import Blocks
 from levid.identification.trace.force_regression.residual_whitening import Whitening
 from levid.identification.trace.force_regression.scale_of_equations import (
@@ -32,6 +36,7 @@ from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Effect, Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
+from levid.report.trace.answer import imported_answer
 
 HELICOPTER = """
 levid: model
@@ -56,7 +61,7 @@ B: [[kpp, kpy], [kyp, kyy]]
 JP, JY, DP, DY, KG, KPY, KYP = TRUTH = np.array([0.038, 0.043, 0.05, 0.08, 0.37, 0.007, 0.012])
 KNOWN, FRICTION = 0.05, 0.02
 TOLD = SearchOptions().told_from_model
-TS, ROWS, SMOOTH, NOISE_RAD = 0.005, 8000, 40, 1e-4
+TS, ROWS, NOISE_RAD = 0.005, 8000, 1e-4
 
 
 @cache
@@ -68,12 +73,7 @@ def traced(seed: int, friction: float) -> ForceTrace:
         np.diag([JP, JY]), np.diag([DP, DY]), np.diag([KG, 0.0]), B, none, none,
         np.full(2, NOISE_RAD), TS, 20,
     )  # fmt: skip
-    v = rng.standard_normal((ROWS, 2))
-    for _ in range(2):
-        for column in v.T:
-            column[:] = np.convolve(column, np.ones(SMOOTH) / SMOOTH, mode="same")
-    v -= v.mean(axis=0)
-    v *= 2.0 / v.std(axis=0)
+    v = 2.0 * np.stack([low_pass_noise(rng, ROWS, TS, 2.0) for _ in range(2)], axis=1)
     acting = [Acting(Kind.COULOMB, 0, np.array([friction, 0.005]))] if friction else []
     moved = simulated(plant, v, rng, *acting)
     config = parse_text(HELICOPTER, ModelConfig, "helicopter")
@@ -95,6 +95,16 @@ def test_effect_and_numbers_are_found_beside_a_free_gain(seed: int, friction: fl
     values, errors = found.found.point.values, found.errors[: len(TRUTH)]
     assert np.all(np.abs(values - TRUTH) < 4.0 * errors)
     assert np.all(errors < 0.01 * TRUTH)
+
+
+def test_answer_says_where_noise_is_all_that_is_left() -> None:
+    """The model leaves 0.7 % of the force, as much as the noise; half of a per cent is an error."""
+    result = force_outcome(traced(1, 0.0))
+    assert "noise to within 0.5 % of that force" in imported_answer(result)
+    assert result.nearest == ""
+    quiet = replace(result.after, noise_percent=np.zeros(2))
+    louder = replace(quiet, force_percent=np.array([0.6, 0.1]))
+    assert "unexplained" in imported_answer(replace(result, after=louder))
 
 
 @cache

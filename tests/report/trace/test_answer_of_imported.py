@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from levid.report.trace.answer import _rest_of_imported
@@ -61,7 +62,7 @@ def test_what_a_free_form_describes_and_no_law_does_is_said() -> None:
     result = SimpleNamespace(
         dof=("a",),
         before=SimpleNamespace(force_percent=(87.4,)),
-        after=SimpleNamespace(force_percent=(87.4,)),
+        after=SimpleNamespace(force_percent=(87.4,), noise_percent=np.array([3.1])),
         with_form=[("a", 85.0, 3.21)],
         laws=(),
         lacks=(),

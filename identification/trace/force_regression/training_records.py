@@ -180,19 +180,17 @@ class Training:
             self._forces_kept[effect.identity, shape] = known
         scale = self.scale[group_of(effect)]
         along = sum(
-            np.sum(f * (g[group_of(effect)] * scale), axis=1)
+            _along(f, g[group_of(effect)] * scale)
             for f, g in zip(known.forces, at.setting, strict=True)
         )
         return [at.share * f for f in known.forces], -along / np.maximum(at.power, TINY)
 
     def _forces_of(self, at: Evaluated, changes: Sequence[Array]) -> tuple[list[Array], Array]:
+        n = len(at.power)
         forces = [at.share * (c[:, 0] - c[:, 1] - c[:, 2]) for c in changes]
-        along = np.sum(
-            [
-                np.sum(c * g * self.scale[:, None], axis=(1, 2))
-                for c, g in zip(changes, at.setting, strict=True)
-            ],
-            axis=0,
+        along = sum(
+            _along(c.reshape(len(c), -1, c.shape[-1]), (g * self.scale[:, None]).reshape(-1, n))
+            for c, g in zip(changes, at.setting, strict=True)
         )
         return forces, along / np.maximum(at.power, TINY)
 
@@ -377,8 +375,7 @@ class Training:
             columns = own.reshape(-1, *own.shape[-2:])
             acts = columns.any(axis=(1, 2))
             white = self.whitening.apply(columns[acts], record.band.row_s)
-            squares = np.maximum(np.sum(constant * constant, axis=0), TINY)
-            share = np.sum(white * constant, axis=1, keepdims=True) / squares
+            share = _along(white, constant)[:, None]
             weighed = np.zeros_like(columns)
             weighed[acts] = white - share * constant
             found.append(weighed.reshape(own.shape))
@@ -386,8 +383,15 @@ class Training:
 
     @cached_property
     def _constants(self) -> list[Array]:
-        """A constant force where DOF move, with weights, of each record (rows, n)."""
-        return [self.whitening.apply(r.moves, r.band.row_s) for r in self.records]
+        """A constant force where DOF move, with weights, of unit size, of each record (rows, n)."""
+        weighed = [self.whitening.apply(r.moves, r.band.row_s) for r in self.records]
+        return [w / np.maximum(np.linalg.norm(w, axis=0), TINY) for w in weighed]
+
+
+def _along(values: Array, one: Array) -> Array:
+    """Return the products (c, n) of columns (c, rows, n) with another one (rows, n), over rows."""
+    products = np.moveaxis(values, -1, 0) @ one.T[:, :, None]
+    return np.asarray(products[:, :, 0].T)
 
 
 def missing_share(at: Evaluated) -> Array:

@@ -170,12 +170,18 @@ def direction(signals: Signals, dof: int, v_s: float, peak: float = np.inf) -> A
     """
     if not np.isfinite(peak):
         return law_of_speed(signals, dof, v_s, np.tanh, ln_cosh)
+    return _with_peak(signals, dof, v_s, peak)[1]
+
+
+def _with_peak(signals: Signals, dof: int, v_s: float, peak: float) -> tuple[Array, Array]:
+    """Return `direction` (N,) without and with a Stribeck peak."""
     if not signals.around_rows:
         speed = signals.qd[:, dof]
-        return np.asarray(np.tanh(speed / v_s) * np.exp(-((speed / peak) ** 2)))
+        turned = np.tanh(speed / v_s)
+        return turned, np.asarray(turned * np.exp(-((speed / peak) ** 2)))
     speed = speeds_between_rows(signals, dof)
     parts = means_of_parts(speed / v_s, np.tanh, ln_cosh)
-    return at_rows(parts * np.exp(-((middles(speed) / peak) ** 2)))
+    return at_rows(parts), at_rows(parts * np.exp(-((middles(speed) / peak) ** 2)))
 
 
 def _asymmetric(i: int, dof: str, force: str, speed: float, v_s: Quantity) -> list[Effect]:
@@ -240,8 +246,7 @@ def _turned_squared(signals: Signals, dof: int, v_s: float) -> Array:
 
 def _stribeck(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     v_s = shape[0] * shape[1]
-    levels = direction(signals, dof, v_s), direction(signals, dof, v_s, shape[0])
-    return [on_dof(signals, dof, -level) for level in levels]
+    return [on_dof(signals, dof, -level) for level in _with_peak(signals, dof, v_s, shape[0])]
 
 
 def _coulomb_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
@@ -251,7 +256,7 @@ def _coulomb_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -
 
 def _stribeck_asymmetric(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     v_s = shape[0] * shape[1]
-    sliding, peak = direction(signals, dof, v_s), direction(signals, dof, v_s, shape[0])
+    sliding, peak = _with_peak(signals, dof, v_s, shape[0])
     squared = _turned_squared(signals, dof, v_s)
     return [on_dof(signals, dof, -level) for level in (sliding, peak, squared)]
 

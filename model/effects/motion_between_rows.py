@@ -15,6 +15,8 @@ from .base import Array, Signals
 
 _PARTS = 2
 """Parts of each half of a row."""
+_FAR = 20.0
+"""Argument beyond which tanh is 1 to the last digit, and powers of e would only underflow."""
 _STILL = 1e-4
 """Change of a law's argument in a part below which the law is that of the middle, to 1e-9."""
 
@@ -31,21 +33,21 @@ def positions_between_rows(signals: Signals, dof: int) -> Array:
 
 def _between(values: Array, changes: Array) -> Array:
     """Return the cubics (2 _PARTS + 1, N - 1) through rows' values (N,) with changes per row."""
-    s = np.linspace(0.0, 1.0, 2 * _PARTS + 1)[:, None]
+    s = np.linspace(0.0, 1.0, 2 * _PARTS + 1)
     end = s * s * (3.0 - 2.0 * s)
-    begin_slope, end_slope = s * (1.0 - s) ** 2, s * s * (s - 1.0)
-    found = values[:-1] + end * (values[1:] - values[:-1])
-    return np.asarray(found + begin_slope * changes[:-1] + end_slope * changes[1:])
+    weights = np.stack([1.0 - end, end, s * (1.0 - s) ** 2, s * s * (s - 1.0)], axis=1)
+    return np.asarray(weights @ np.stack([values[:-1], values[1:], changes[:-1], changes[1:]]))
 
 
 def means_of_parts(
     x: Array, law: Callable[[Array], Array], integral: Callable[[Array], Array]
 ) -> Array:
     """Return the means (2 _PARTS, N - 1) of a law over parts that end at arguments x."""
-    whole, change = integral(x), np.diff(x, axis=0)
-    return np.divide(
-        np.diff(whole, axis=0), change, out=law(middles(x)), where=np.abs(change) > _STILL
-    )
+    whole, change = integral(x), x[1:] - x[:-1]
+    still = np.abs(change) <= _STILL
+    means = np.divide(whole[1:] - whole[:-1], change, where=~still, out=np.empty_like(change))
+    means[still] = law(middles(x)[still])
+    return np.asarray(means)
 
 
 def law_of_speed(
@@ -67,7 +69,7 @@ def law_of_speed(
 def ln_cosh(x: Array) -> Array:
     """Return ln cosh x of any shape, the integral of tanh from 0 to x."""
     size = np.abs(x)
-    return np.asarray(size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0))
+    return np.asarray(size + np.log1p(np.exp(-2.0 * np.minimum(size, _FAR))) - np.log(2.0))
 
 
 def middles(x: Array) -> Array:
@@ -82,4 +84,7 @@ def at_rows(parts: Array) -> Array:
     """
     before, behind = parts[:_PARTS].mean(axis=0), parts[_PARTS:].mean(axis=0)
     means = 0.5 * (np.append(before, behind[-1]) + np.append(before[0], behind))
-    return np.asarray(means - np.diff(np.pad(means, 1, mode="edge"), 2) / 24.0)
+    slopes = (means[1:] - means[:-1]) / 24.0
+    means[:-1] -= slopes
+    means[1:] += slopes
+    return np.asarray(means)

@@ -199,8 +199,13 @@ def fitted_candidate(
     dead zone that is wider than the commands is a gain.
     """
 
+    known: dict[bytes, Array] = {}
+
     def residual(x: Array) -> Array:
-        return beside.fitted(effect, _shape(effect.shape, x), told_from_model).rest
+        at = np.asarray(x).tobytes()
+        if at not in known:
+            known[at] = beside.fitted(effect, _shape(effect.shape, x), told_from_model).rest
+        return known[at]
 
     x = _coordinates(effect.shape, shape)
     if len(x):
@@ -268,6 +273,8 @@ def _amplitudes(
     """
     size = np.linalg.norm(X, axis=0)
     size = np.where(size > 0.0, size, 1.0)
+    if len(size) == 1:
+        return _amplitude(effect, float(size[0]), left[:, 0], rest, told_from_model)
     low = np.array([q.low for q in effect.amplitudes]) * size
     high = np.array([q.high for q in effect.amplitudes]) * size
     Q, R = np.linalg.qr(left / size)
@@ -279,6 +286,17 @@ def _amplitudes(
         few = lsq_linear((s * told)[:, None] * Vt, b * told, (low, high), method="bvls")
         found = np.clip(few.x, low, high)
     return np.asarray(found / size)
+
+
+def _amplitude(
+    effect: Effect, size: float, left: Array, rest: Array, told_from_model: float
+) -> Array:
+    """Return the same of an effect with one amplitude, of a force of a size."""
+    squares = float(left @ left)
+    if not squares > told_from_model * size**2:
+        return np.zeros(1)
+    (quantity,) = effect.amplitudes
+    return np.clip([float(left @ rest) / squares], quantity.low, quantity.high)
 
 
 def _coordinates(quantities: Sequence[Quantity], shape: Sequence[float]) -> Array:

@@ -138,6 +138,7 @@ LAWS = {
     "warming_grease": Law(
         Kind.WARMING_DAMPING, ("damping",), effect="damping.warming", names=("excess", "tau")
     ),
+    "buffer": Law(Kind.BUFFER, ("stiffness",)),
 }  # fmt: skip
 """Effects by name. A plant's seed has the number of its law in it: new ones come last."""
 
@@ -148,7 +149,7 @@ _ANYWHERE = (
     "second_order", "thinning_grease", "loaded_gear", "preload",
     "hysteresis", "soft_spring", "quintic", "foam", "permanent_magnet", "cubic_damper",
     "shaft", "drifting_damping", "drifting_stiffness", "drifting_mass", "bent_reading",
-    "warming_grease",
+    "warming_grease", "buffer",
 )  # fmt: skip
 _RUBBING = ("coulomb", "stribeck", "asymmetric_friction", "uneven_friction", "slow_friction",
             "warming_friction")  # fmt: skip
@@ -360,6 +361,10 @@ def _numbers(
         Kind.DRIFTING_MASS: (0.3 * mass / seconds,),
         Kind.WARMING_FRICTION: (tenth, v, 4.0 * share, seconds * peak**2),
         Kind.WARMING_DAMPING: (tenth / w, seconds * peak**2),
+        Kind.BUFFER: (
+            3.0 * tenth / q, np.sign(share - 0.25) * stop, 0.5 * peak / (2.0 * np.pi * middle),
+            np.sign(share - 0.25),
+        ),
         Kind.BENT: (np.sign(share - 0.25) * (0.01 + 0.3 * abs(share - 0.25)) / q,),
     }  # fmt: skip
     return np.array(start.get(kind, (0.0,)))

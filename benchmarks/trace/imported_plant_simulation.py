@@ -70,12 +70,13 @@ class Kind(IntEnum):
     WARMING_FRICTION = 44  # -s (1 + share exp(-t / tau)) tanh(w / v): number s, v, share, tau
     BENT = 45  # a reading of q + s q^2
     WARMING_DAMPING = 46  # -s exp(-t / tau) w
+    BUFFER = 47  # -s (q - q0 + tau w) beyond q0: number s, q0, tau, side
 
 
 _FORCES_ON_DOF = (
     Kind.THINNING, Kind.PRELOAD, Kind.LEVELING, Kind.SOFT_SPRING, Kind.QUINTIC, Kind.FOAM,
     Kind.PERMANENT_MAGNET, Kind.CUBIC_DAMPER, Kind.DRIFTING_DAMPING, Kind.DRIFTING_STIFFNESS,
-    Kind.WARMING_FRICTION, Kind.WARMING_DAMPING,
+    Kind.WARMING_FRICTION, Kind.WARMING_DAMPING, Kind.BUFFER,
 )  # fmt: skip
 """Of the kinds behind those of an input."""
 
@@ -152,6 +153,8 @@ def _on_dof(  # noqa: PLR0911, PLR0912 - numba has no match
         return -s[0] * (np.sin(q) - q)
     if kind == Kind.STOP:
         return -s[0] * max(q - s[1], 0.0)
+    if kind == Kind.BUFFER:
+        return -s[0] * (q - s[1] + s[2] * w) if s[3] * (q - s[1]) > 0.0 else 0.0
     if kind == Kind.GAP:
         return s[1] * min(max(q, -s[0]), s[0])
     if kind == Kind.COGGING:

@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
+from .end_stop import contact
 from .lag_and_hysteresis_recursions import play, slip_range
 from .operating_range import Extent
 
@@ -53,6 +54,10 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 tuple((middle + m * wide, gap * reach) for m in _MIDDLES for gap in _GAPS),
                 absorbed_by="the part linear in the position: the declared stiffness",
                 told_apart_by="two amplitudes of excitation: the kinks do not move",
+                contains={
+                    "stiffness.one_sided": _upper_edge,
+                    "stiffness.one_sided.below": _lower_edge,
+                },
             ),
             Effect(
                 "backlash.dead_zone_contact",
@@ -69,7 +74,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 tuple((middle + m * wide, gap * reach) for m in _MIDDLES for gap in _GAPS),
                 absorbed_by="the part linear in the motion: declared stiffness and damping",
                 told_apart_by="two amplitudes of excitation: the kinks do not move",
-                contains={"backlash.dead_zone_spring": tuple},
+                contains={
+                    "backlash.dead_zone_spring": tuple,
+                    "stiffness.stop.above": _upper_edge,
+                    "stiffness.stop.below": _lower_edge,
+                },
             ),
             Effect(
                 "backlash.play",
@@ -95,14 +104,20 @@ def _dead_zone_spring(signals: Signals, shape: Sequence[float], *, dof: int) -> 
 
 
 def _dead_zone_contact(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
-    speed = signals.qd[:, dof]
-    # The share of a row's time in which it touches, as it moves on by `way` meanwhile.
-    way = np.maximum(np.abs(speed) * signals.Ts_s, np.finfo(float).tiny)
-    touches = np.clip(0.5 + (np.abs(signals.q[:, dof] - shape[0]) - shape[1]) / way, 0.0, 1.0)
-    return [
-        *_dead_zone_spring(signals, shape, dof=dof),
-        on_dof(signals, dof, -touches * speed),
-    ]
+    away = signals.q[:, dof] - shape[0]
+    sides = [contact(signals, dof, sign * away - shape[1], sign) for sign in (1.0, -1.0)]
+    forces = (
+        sum(t.force for t in pair if t.force is not None) for pair in zip(*sides, strict=True)
+    )
+    return [Term(force=np.asarray(force)) for force in forces]
+
+
+def _upper_edge(shape: Sequence[float]) -> tuple[float, ...]:
+    return (shape[0] + shape[1],)
+
+
+def _lower_edge(shape: Sequence[float]) -> tuple[float, ...]:
+    return (shape[0] - shape[1],)
 
 
 def _play(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

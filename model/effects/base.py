@@ -311,8 +311,8 @@ class Effect:
     contains: Mapping[str, Callable[[Sequence[float]], tuple[float, ...]]] = field(
         default_factory=dict, compare=False
     )
-    """Simpler laws, by key, that this one becomes without one of its amplitudes; the function
-    returns their shape for a shape of this one."""
+    """Simpler laws, by key, that this one becomes without one of its amplitudes, or where no motion
+    reaches one of its edges; the function returns their shape for a shape of this one."""
     along_motion: Callable[[Signals, Sequence[float], Sequence[float]], Term] | None = None
     """Function of a true motion, shape and amplitudes that returns the whole contribution, for
     effects whose terms are functions of the readings; None if terms are those of the motion."""

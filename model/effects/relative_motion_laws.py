@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from . import backlash, damping, friction, friction_leveling_off, stiffness
+from . import backlash, damping, end_stop, friction, friction_leveling_off, stiffness
 from .base import Build, Effect, Joint, Places, Signals, Term
 from .operating_range import Extent
 
@@ -36,6 +36,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             *friction.effects(alone, covered),
             *friction_leveling_off.effects(alone, covered),
             *backlash.effects(alone, covered),
+            *end_stop.effects(alone, covered),
         ]
         found += [_on_joint(e, joint, alone) for e in own if e.where == (joint.name,)]
     return found

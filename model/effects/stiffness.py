@@ -75,22 +75,23 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 )
             )
         reach, middle = _WIDE * extent.reach[i], extent.around(i)
-        found.append(
-            Effect(
-                f"{effect_class}.one_sided",
-                "One-sided stiffness (contact)",
-                effect_class,
-                (dof,),
-                "force = -k (q - q0) where q > q0, else 0",
-                (Quantity("k", f"{force}/{unit}"),),
-                partial(_one_sided, dof=i),
-                (Quantity("q0", unit, middle - reach, middle + reach),),
-                tuple((middle + share * reach,) for share in _CONTACTS),
-                absorbed_by=_LINEAR,
-                told_apart_by="two amplitudes of excitation: the kink does not move",
+        if places.beam:
+            found.append(
+                Effect(
+                    "rod_stiffness.one_sided",
+                    "One-sided stiffness (contact)",
+                    effect_class,
+                    (dof,),
+                    "force = -k (q - q0) where q > q0, else 0",
+                    (Quantity("k", f"{force}/{unit}"),),
+                    partial(_one_sided, dof=i),
+                    (Quantity("q0", unit, middle - reach, middle + reach),),
+                    tuple((middle + share * reach,) for share in _CONTACTS),
+                    absorbed_by=_LINEAR,
+                    told_apart_by="two amplitudes of excitation: the kink does not move",
+                )
             )
-        )
-        if not places.beam:
+        else:
             shortest, longest = (share * extent.reach[i] for share in _YIELD_BOUNDS)
             found.append(
                 Effect(
@@ -112,6 +113,10 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     ),
                     absorbed_by=_LINEAR,
                     told_apart_by="two amplitudes of excitation: the jump does not move",
+                    contains={
+                        "stiffness.one_sided": _lower_end,
+                        "stiffness.one_sided.below": _upper_end,
+                    },
                 )
             )
             found += [_leveling(places, i, name, extent) for name in _LEVELING]
@@ -210,6 +215,14 @@ def _preloaded(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Te
     # Also in a free run: the jump may take less than a row.
     away = (positions_between_rows(signals, dof) - shape[0]) / shape[1]
     return [on_dof(signals, dof, -at_rows(means_of_parts(away, _clipped, _integral)))]
+
+
+def _lower_end(shape: Sequence[float]) -> tuple[float, ...]:
+    return (shape[0] - shape[1],)
+
+
+def _upper_end(shape: Sequence[float]) -> tuple[float, ...]:
+    return (shape[0] + shape[1],)
 
 
 def _tanh(signals: Signals, shape: Sequence[float], *, dof: int, sign: float) -> list[Term]:

@@ -67,8 +67,8 @@ class _Words:
 
 @dataclass(frozen=True)
 class _Parameter:
-    """Format a parameter: {k} is its size, {k:%} in percent, {k:double} twice that, {k:more|less} a
-    word by its sign."""
+    """Format a parameter: {k} is its size, {k:%} in percent, {k:double} twice that, {k:signed} has
+    its sign, {k:more|less} is a word by it."""
 
     found: EffectParameter | None
 
@@ -86,7 +86,8 @@ class _Parameter:
         if spec == "double":
             factor *= 2.0
         half = 0.0 if self.found.se is None else SURE_95 * self.found.se
-        return f"{_digits(factor * size, factor * half)} {unit}".strip()
+        minus = "-" if spec == "signed" and self.found.value < 0.0 else ""
+        return f"{minus}{_digits(factor * size, factor * half)} {unit}".strip()
 
 
 def _digits(size: float, half: float) -> str:
@@ -110,7 +111,10 @@ _CLAUSES = {
     "stiffness.exponential": "the spring of {at} hardens exponentially, within {d}",
     "stiffness.snap_through": "the spring of {at} snaps through within {width}",
     "stiffness.leveling_off": "the spring of {at} levels off within {width}",
-    "stiffness.one_sided": "a contact adds stiffness to one side of {at}",
+    "stiffness.stop.above": "a stop limits {at} above {q0:signed}",
+    "stiffness.stop.below": "a stop limits {at} below {q0:signed}",
+    "stiffness.one_sided.below": "a contact adds stiffness to {at} below {q0:signed}",
+    "stiffness.one_sided": "a contact adds stiffness to {at} above {q0:signed}",
     "air_damping.linear": "the damping of {at} is {d:higher|lower} than declared",
     "air_damping.across": "damping couples {at}",
     "damping.across": "damping couples {at}",

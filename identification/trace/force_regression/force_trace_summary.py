@@ -373,7 +373,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
     grew = _grew(*(e.force_percent for e in pooled)), _grew(*(e.percent for e in pooled))
     known = {p.effect.identity for p in trace.found.point.placed}
     surely = trace.options.standard_errors
-    floors = _floors(*pooled, trace.options.alike)
+    floors, unseen = _floors(*pooled, trace.options.alike), _left_unseen(trace, *pooled)
     displaced = tuple(name for name, _, limit in at_limits(trace.found.point) if limit)
     if np.isinf(floors) and _confirmed_by_force(trace, *pooled):
         floors = float("nan")
@@ -395,6 +395,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 same,
                 left,
                 leaning,
+                unseen,
                 trace.options.least_gain,
                 trace.curves.get(rated.placed.effect.identity),
                 grew,
@@ -407,6 +408,22 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
             )
         )
     return tuple(laws)
+
+
+def _left_unseen(trace: ForceTrace, before: PooledError, after: PooledError) -> float:
+    """Return the share of the squared missing force in rows that neither fitted nor chose that is
+    left beyond the noise of the outputs, at the DOF where the found effects take most of it.
+
+    0 where that does not matter, and where friction holds the DOF for a moment.
+    """
+    taken = before.force_percent**2 - after.force_percent**2
+    most = int(np.argmax(taken))
+    name = trace.places.dof[most]
+    beyond = _worth(trace, after.force_percent, after.noise_percent)
+    if name not in beyond or name in _only_at_turns(trace):
+        return 0.0
+    left = after.force_percent[most] ** 2 - after.noise_percent[most] ** 2
+    return float(left / (left + max(taken[most], 0.0)))
 
 
 def _floors(before: PooledError, after: PooledError, inexact: float) -> float:

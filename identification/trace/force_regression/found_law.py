@@ -23,7 +23,8 @@ class FoundLaw:
     gains most. `alternatives` are of other classes or places, each with its support: these records
     do not tell them apart. laws: other laws of the same class and place, not told apart either.
     left_share: share of the squared missing force without it that is left with it, beyond the noise
-    of the outputs; leaning: the same without the effects in doubt. least_gain: share that an effect
+    of the outputs; leaning: the same without the effects in doubt; unseen: the same of all effects,
+    in the rows that neither fitted nor chose. least_gain: share that an effect
     must take. curve: free form of its signal that surely improves on it, None without one. grew:
     whether the model with all effects misses more force in the rows that neither fitted nor chose,
     and whether its free run is farther from them. floors: error of the free run over what the
@@ -43,6 +44,7 @@ class FoundLaw:
     laws: tuple[Rated, ...]
     left_share: float
     leaning: float
+    unseen: float
     least_gain: float
     curve: Rated | None
     grew: tuple[bool, bool]
@@ -79,6 +81,8 @@ class FoundLaw:
             f"without what is in doubt, {percent(self.leaning)} is left beside it": (
                 self.leaning > self.least_gain
             ),
+            "of the squared missing force in the rows that neither fitted nor chose, "
+            f"{percent(self.unseen)} is left": (self.unseen > self.least_gain >= self.left_share),
             "no amplitude of it is told from zero": not self.told,
             f"its {' and '.join(self.at_limit)} ended at the limit of what it can be": bool(
                 self.at_limit

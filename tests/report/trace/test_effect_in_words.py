@@ -80,6 +80,12 @@ def test_clauses_of_the_rig(
     assert effect_in_words(effect, parameters(effect, value, se)) == text
 
 
+def test_a_position_has_its_sign() -> None:
+    effect = find("stiffness.stop.below", ("q",), motor())
+    text = effect_in_words(effect, parameters(effect, -0.02, 1e-4))
+    assert text == "a stop limits q below -20.0 mm"
+
+
 def test_places_are_named_as_a_reader_names_them() -> None:
     assert place_in_words(("coil:6",)) == "coil 6"
     assert place_in_words(tuple(f"sensor:{i}" for i in range(9))) == "sensors 0 to 8"

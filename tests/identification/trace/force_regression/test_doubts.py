@@ -50,6 +50,7 @@ def found(
         (),
         0.0,
         0.0,
+        0.0,
         0.1,
         None,
         (False, False),

@@ -29,6 +29,8 @@ from levid.model.effects.candidate_effects import all_effects
         ("pendulum", "hysteresis", 900_001),
         ("levitation", "bearing", 900_003),
         ("drive", "soft_spring", 897_001),
+        ("pendulum", "stop", 620_001),  # a detent would do, whose other end no fitted row reaches
+        ("pendulum", "buffer", 620_001),
         ("drive", "permanent_magnet", 897_001),  # an exponential spring hardens in the same way
         ("pendulum", "quintic", 897_002),
         ("pendulum", "foam", 897_002),

@@ -193,6 +193,14 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
             -6.0 * (q - 0.05 - min(max(q - 0.05, -0.1), 0.1)) - 0.02 * v * (abs(q - 0.05) > 0.1)
         ),
     ),
+    "stiffness.stop.above": (
+        (6.0, 0.02), (0.1,),
+        lambda: lambda q, v, u: -6.0 * max(q - 0.1, 0.0) - 0.02 * v * (q > 0.1),
+    ),
+    "stiffness.stop.below": (
+        (6.0, 0.02), (-0.1,),
+        lambda: lambda q, v, u: -6.0 * min(q + 0.1, 0.0) - 0.02 * v * (q < -0.1),
+    ),
     "backlash.play": ((2.0,), (0.1,), lambda: Play(2.0, 0.1)),
     "damping.drift": ((0.01,), (), lambda: InTime(lambda t, q, v, u: -0.01 * t * v)),
     "stiffness.drift": ((0.2,), (), lambda: InTime(lambda t, q, v, u: -0.2 * t * q)),

@@ -163,7 +163,8 @@ CASES = {
         "none", "magnet", "squared_actuator", "drag", "drift", "lag", "quantised", "delay",
         "bearing",
     ),
-    "helicopter": (*_ANYWHERE, *_RUBBING),
+    # A propeller has no gear that would see the motion at it, which is one of both DOF.
+    "helicopter": tuple(law for law in (*_ANYWHERE, *_RUBBING) if law != "loaded_gear"),
 }  # fmt: skip
 """Effects of each plant."""
 PAIRS = {

@@ -142,6 +142,19 @@ class Places:
         """Locations of the actuators (C,), as effects name them."""
         return tuple(self.actuator(c) for c in range(self.coils))
 
+    def motion_at(self, place: str) -> tuple[Array, Array]:
+        """Return the motion at a DOF, a joint or an actuator per unit of pose (n,), and the force
+        on each DOF per force there (n,); zeros for other places."""
+        for joint in self.joints:
+            if joint.name == place:
+                return joint.motion, joint.pull
+        found = np.zeros(len(self.dof))
+        if place in self.dof:
+            found = np.eye(len(self.dof))[self.dof.index(place)]
+        elif place in self.actuators:
+            found = self.actuator_motion[self.actuators.index(place)]
+        return found, found
+
     def worded(self, text: str) -> str:
         """Return a text about the rig's coils and their heights in the words for this plant."""
         if self.beam:
@@ -307,7 +320,7 @@ class Effect:
     """Function of amplitudes and shape that returns the shape with about the same effect at
     amplitudes of 1, for effects whose textbook equation has no amplitude; else None."""
     exact: bool = False
-    """Whether the equation is one of geometry, with no error of its own."""
+    """Whether the equation has no error of its own: it is one of geometry, or a linear term."""
     contains: Mapping[str, Callable[[Sequence[float]], tuple[float, ...]]] = field(
         default_factory=dict, compare=False
     )

@@ -15,8 +15,10 @@ import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_coil
 from .friction import turning_speed
+from .lag_and_hysteresis_recursions import with_moment
+from .motion_between_rows import ln_cosh, means_while_acting
 from .operating_range import Extent
-from .point_force_conversion import times_speed
+from .point_force_conversion import heights
 
 _BEGINS = (0.03, 0.3)
 """Start values of the speed within which it turns, over the RMS speed."""
@@ -49,6 +51,9 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def _rubbing(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:
-    load = np.abs(signals.coil[:, [coil]])
-    rubbed = times_speed(signals, [coil], load, lambda speed: np.tanh(speed / shape[0]))
-    return [on_coil(signals, coil, -rubbed[:, 0])]
+    motion = signals.places.actuator_motion[[coil]]
+    ahead = heights(signals.qd + signals.lag_s * signals.qdd, motion)[:, 0] / shape[0]
+    rates = heights(signals.qdd, motion)[:, 0] / shape[0]
+    mean, moment = means_while_acting(signals, ahead, rates, np.tanh, ln_cosh)
+    load = np.abs(signals.coil[:, coil])
+    return [on_coil(signals, coil, -with_moment(load * mean, load * moment))]

@@ -59,7 +59,7 @@ def effects(places: Places) -> list[Effect]:
                 amplitudes=(*gravity.amplitudes, Quantity("k", f"{force}/{unit}", 0.0)),
                 build=partial(_for_stiffness, dof=i, radians=RADIANS[unit]),
                 absorbed_by="a free stiffness: k",
-                contains={"gravity.sine": tuple},
+                contains={"linear.stiffness": tuple, "gravity.sine": tuple},
             ),
         ]
     return found

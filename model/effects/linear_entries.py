@@ -60,6 +60,7 @@ def _term(
         absorbed_by="a free entry of the model at the same place",
         told_apart_by=_AMPLITUDES if alone else "excitation of both DOFs, one at a time",
         linear=True,
+        exact=True,
     )
 
 
@@ -75,6 +76,7 @@ def _gyroscopic(places: Places, i: int, j: int) -> Effect:
         absorbed_by="a free entry of the model at the same place",
         told_apart_by="excitation of both DOFs, one at a time",
         linear=True,
+        exact=True,
     )
 
 
@@ -90,6 +92,7 @@ def _input(places: Places, dof: int, coil: int) -> Effect:
         absorbed_by="a free entry of B at the same place",
         told_apart_by="a known inertia of this DOF: levers of all inputs scale with it",
         linear=True,
+        exact=True,
     )
 
 

@@ -66,6 +66,27 @@ def law_of_speed(
     return at_rows(means_of_parts(speeds_between_rows(signals, dof) / v, law, integral))
 
 
+def means_while_acting(
+    signals: Signals,
+    values: Array,
+    rates: Array,
+    law: Callable[[Array], Array],
+    integral: Callable[[Array], Array],
+) -> tuple[Array, Array]:
+    """Return means and first moments (N,) of a law over the periods in which rows' commands act.
+
+    values, rates (N,): its argument at the rows, and that per second. Moments are in periods from
+    the middle, as those of `Signals.while_acting`, which takes the law to be smooth.
+    """
+    x = _between(values, signals.Ts_s * rates)
+    parts, ends = means_of_parts(x, law, integral), law(x)
+    centres = (np.arange(2 * _PARTS) + 0.5) / (2 * _PARTS) - 0.5
+    within = (ends[-1] - ends[0]) / (12.0 * (2 * _PARTS) ** 2)
+    means, moments = parts.mean(axis=0), centres @ parts / (2 * _PARTS) + within
+    acts = np.minimum(np.arange(signals.rows) + signals.delay_cycles, signals.rows - 2)
+    return means[acts], moments[acts]
+
+
 def ln_cosh(x: Array) -> Array:
     """Return ln cosh x of any shape, the integral of tanh from 0 to x."""
     size = np.abs(x)

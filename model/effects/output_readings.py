@@ -1,8 +1,9 @@
 """Sensors of a plant with one output for each DOF: nonlinear, eccentric, late, mixed.
 
 The position is a function of the reading, as a calibration states it, so that the force of a record
-is linear in the numbers; the reading of a simulated motion follows from its inverse. A gain is a
-change of units and is not told from the model. Where a reading is a quadratic of the position, or 1
+is linear in the numbers; the reading of a simulated motion follows from its inverse. A gain is told
+only where parameters have other DOF, or known numbers, in common with it: else it is a change of
+units. Where a reading is a quadratic of the position, or 1
 over a gap, the position is nearly a ratio of polynomials of it. A cubic sensor at low frequencies
 is a cubic spring: inertia and damping, which act on the true motion, tell the two apart. The lag of
 the only sensor is that of the only actuator if the plant is linear.
@@ -39,11 +40,27 @@ _AMPLITUDES = "excitation at two amplitudes, up to frequencies where inertia cou
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
-    """Return nonlinearity, lag and delay of every sensor, and crosstalk; empty for the rig."""
+    """Return gain, nonlinearity, lag, delay and crosstalk of every sensor; empty for the rig."""
     if places.beam or places.sensors != len(places.dof):
         return []
     found, single = [], places.coils == len(places.dof) == 1
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
+        found.append(
+            Effect(
+                "reading.gain",
+                "Gain of the sensor",
+                "sensor_gain",
+                (dof,),
+                "position = r - error r, r the reading",
+                (Quantity("error", "1"),),
+                partial(_too_much, sensor=i),
+                absorbed_by="free entries of the matrices at the DOF, all of them together",
+                told_apart_by="a known position, such as a stop",
+                along_motion=partial(_scaled_reading, sensor=i),
+                linear=True,
+                exact=True,
+            )
+        )
         for name, word, amplitude, power in (
             ("quadratic", "Quadratic", "a", 2),
             ("cubic", "Cubic", "b", 3),
@@ -155,6 +172,10 @@ def _straight(_shape: Sequence[float]) -> tuple[float, ...]:
 # The position less the reading, which a force balance subtracts as an error of the reading.
 
 
+def _too_much(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
+    return [on_sensor(signals, sensor, signals.q[:, sensor])]
+
+
 def _power(signals: Signals, _shape: Sequence[float], *, sensor: int, power: int) -> list[Term]:
     r = signals.q[:, sensor]
     return [on_sensor(signals, sensor, -(r**power))]
@@ -191,6 +212,13 @@ def _part_of(signals: Signals, _shape: Sequence[float], *, sensor: int, other: i
 
 
 # The reading less the position, of a motion that is known.
+
+
+def _scaled_reading(
+    signals: Signals, _shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int
+) -> Term:
+    error = amplitudes[0]
+    return on_sensor(signals, sensor, error / (1.0 - error) * signals.q[:, sensor])
 
 
 def _bent_reading(

@@ -31,6 +31,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     for c in range(places.coils):
         where, motion = (places.actuator(c),), np.abs(places.actuator_motion[c])
         typical = TRAVEL * float(motion @ np.asarray(extent.reach)) / _TYPICAL_CYCLES
+        if not typical > 0.0:
+            continue  # it moves nothing
         pitches = (extent.ripples[c] if extent.ripples else ()) or (typical,)
         found.append(
             Effect(

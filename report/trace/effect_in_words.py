@@ -215,6 +215,7 @@ _CLAUSES = {
     "actuator.cubic": "a part of the force of {at} is the cube of its command",
     "actuator.hysteresis": "the force of {at} depends on where its command came from (hysteresis)",
     "actuator.": "the force of {at} is not proportional to its command",
+    "reading.gain": "of the reading of {at}, {error:%} is {error:too much|too little}",
     "reading.eccentric": "the encoder of {at} is eccentric",
     "reading.lag": "the reading of {at} lags by {lag}",
     "reading.delay": "the reading of {at} is {delay} late",

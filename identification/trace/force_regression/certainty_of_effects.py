@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from ...covariance_scaling import correlation
 from ..search_options import SearchOptions
-from .candidate_fit import Beside
+from .candidate_fit import Beside, taken_at, told_share
 from .force_record import ForceModel, ForceRecord
 from .free_numbers import numbers
 from .gauss_newton_fit import fit_numbers
 from .instrumental_variables import Unbiased
 from .intervals import Influences, Uncertainty, relative_force_errors
 from .richest_free_form import foretold, residual_of_richest
+from .scale_of_equations import explained_by_any_form
 from .search import Searched
 from .training_records import Training, missing_share
 
@@ -37,7 +38,9 @@ class FittedRows:
     noise: Array
 
     @classmethod
-    def of(cls, point: ForceModel, training: Training, own: Sequence[Array]) -> FittedRows:
+    def of(
+        cls, point: ForceModel, training: Training, own: Sequence[Array], told_from_model: float
+    ) -> FittedRows:
         """Return what a model with columns `own` (C, rows, n), without weights, leaves of each
         training record."""
         records = training.records
@@ -45,7 +48,8 @@ class FittedRows:
         missing = _rms([r.varying(r.missing_force(point)) for r in records])
         left = _rms(residual_of_richest(point, records, own, unlisted=True))
         noise = _pooled([r.noise_force(point) for r in records], records)
-        form = np.where(training.all_free, np.nan, left)
+        empty = explained_by_any_form(point, training, told_from_model)
+        form = np.where(empty, np.nan, left)
         return cls(missing / force, form / force, noise / force)
 
     @property
@@ -99,9 +103,10 @@ class Certainty:
             moved += [numbers(other) - numbers(point) for other in unbiased.others]
         uncertainty = Uncertainty.of(point, training, moved, instruments)
         whole = Beside.of(found.point, training)
-        rows = FittedRows.of(found.point, training, whole.plain.own)
+        told = options.told_from_model
+        rows = FittedRows.of(found.point, training, whole.plain.own, told)
         between = [
-            FittedRows.of(found.point, p, Beside.of(found.point, p).plain.own) for p in parts
+            FittedRows.of(found.point, p, Beside.of(found.point, p).plain.own, told) for p in parts
         ]
         force = _rms([r.acting_force(found.point) for r in fitted])
         force_errors = relative_force_errors(point, fitted, uncertainty)
@@ -197,7 +202,23 @@ def _with_what_came_near(
     plain = training.plain
     before = np.linalg.norm(missing_share(plain.at(found.point)))
     fitted = [fit_numbers(training, point) for point in more]
-    return [p for p in fitted if np.linalg.norm(missing_share(plain.at(p))) < before]
+    return [
+        p
+        for p in fitted
+        if np.linalg.norm(missing_share(plain.at(p))) < before
+        and _last_is_told(p, training, options)
+    ]
+
+
+def _last_is_told(point: ForceModel, training: Training, options: SearchOptions) -> bool:
+    """Return whether the last effect of a fitted model is none of its parameters by another name.
+
+    A fit may end there: a damping that falls at far higher speeds only is the declared one.
+    """
+    *others, last = point.placed
+    beside = Beside.of(replace(point, placed=tuple(others)), training)
+    told = told_share(last.effect, options)
+    return taken_at(beside, last.effect, last.shape, told) is not None
 
 
 def _with_another_member(found: Searched, training: Training) -> list[Array]:

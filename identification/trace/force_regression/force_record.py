@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ....model.declared_model import DeclaredModel, Matrices
 from ....model.effects.actuator_chain import beside, passed_on, reaching
-from ....model.effects.base import Effect, Placed, Signals, Term
+from ....model.effects.base import Effect, Placed, Places, Signals, Term
 from ....model.second_order import SecondOrder
 from ...greybox.experiment.intersample_input import Hold
 from ...greybox.force_balance.band_limited_signals import (
@@ -40,7 +40,7 @@ _MATRICES = {"K": "q", "D": "qd", "M": "qdd"}
 """Matrices of the linear part, and what each multiplies."""
 _OVERSAMPLED = float(SearchOptions.resolved)
 """Rows per period of the limit. At twice the limit the low-pass leaves 1/257."""
-_BENT = {"sensor_nonlinearity", "sensor_crosstalk"}
+_BENT = {"sensor_gain", "sensor_nonlinearity", "sensor_crosstalk"}
 """Classes of the effects by which a reading is another function of the positions."""
 _INERTIA = {"inertia", "linear_inertia"}
 """Classes of the effects whose force is in proportion to accelerations."""
@@ -73,11 +73,10 @@ class ForceModel:
         named = dict(zip(self.parameters.names, values.tolist(), strict=True))
         return replace(self, model=self.model.with_values(named))
 
-    @property
-    def rubbed(self) -> frozenset[str]:
-        """Places of its laws of friction."""
+    def rubbed(self, places: Places) -> list[tuple[Array, Array]]:
+        """Return the motion (n,) of each law of friction, and its force on the DOF (n,)."""
         laws = (p.effect for p in self.placed if p.effect.effect_class == "friction")
-        return frozenset(place for law in laws for place in law.where)
+        return [places.motion_at(place) for law in laws for place in law.where]
 
     def freed(self) -> ForceModel:
         """Return the model with no effect held to its textbook form."""
@@ -165,10 +164,15 @@ class ForceRecord:
         """Return the record with the rows of some DOF (n,) counted, whether these rest or not."""
         return replace(self, moves=np.where(still, 1.0, self.moves))
 
-    def between_turns(self, rubbed: NDArray[np.bool_]) -> ForceRecord:
-        """Return the record without the turns of some DOF (n,), as if they rested there."""
-        away = away_from_turns(self.signals.qd, self.band.Ts_s, 1.0 / self.band.cutoff_hz)
-        return replace(self, moves=self.moves * (away[self.band.kept] | ~rubbed))
+    def between_turns(self, rubbed: Sequence[tuple[Array, Array]]) -> ForceRecord:
+        """Return the record without the turns of some motions (n,), as if the DOF on which the
+        force there acts (n,) rested."""
+        speeds = self.signals.qd @ np.stack([motion for motion, _ in rubbed], axis=1)
+        away = away_from_turns(speeds, self.band.Ts_s, 1.0 / self.band.cutoff_hz)[self.band.kept]
+        moves = self.moves.copy()
+        for one, (_, force) in zip(away.T, rubbed, strict=True):
+            moves[~one] *= force == 0.0
+        return replace(self, moves=moves)
 
     @property
     def rows(self) -> int:
@@ -194,7 +198,7 @@ class ForceRecord:
         that the noise of the outputs alone gives, in the linear part of a model."""
         at, freq_hz = self._at(point.model)[0], self.band.freq_hz
         own = np.stack([getattr(at, name) for name in _MATRICES])
-        K, D, M = sum((self._matrices_of(p) for p in point.placed), own)
+        K, D, M = own + sum(self._matrices_of(p, own) for p in point.placed)
         s = 2j * np.pi * freq_hz[:, None, None]
         density = 2.0 * self.band.Ts_s * np.abs(s**2 * M + s * D + K) ** 2 @ self.noise_sd**2
         return freq_hz, density * self.band.low_pass[:, None] ** 2
@@ -206,8 +210,8 @@ class ForceRecord:
         squares = np.trapezoid(density, freq_hz, axis=0) * self.moves.mean(axis=0)
         return np.asarray(np.sqrt(squares))
 
-    def _matrices_of(self, placed: Placed) -> Array:
-        """Return what an effect adds to K, D and M (3, n, n): zero if it is not linear."""
+    def _matrices_of(self, placed: Placed, own: Array) -> Array:
+        """Return what an effect adds to a model's own K, D and M (3, n, n): zero if not linear."""
         n = self.signals.q.shape[1]
         if not placed.effect.linear:
             return np.zeros((len(_MATRICES), n, n))
@@ -220,7 +224,8 @@ class ForceRecord:
             q, qd, qdd = (one if name == moving else none for name in _MATRICES.values())
             force = placed.term(replace(still, q=q, qd=qd, qdd=qdd)).force
             found.append(none if force is None else -force.T)
-        return np.array(found)
+        gap = placed.term(replace(still, q=one, qd=none, qdd=none)).gap
+        return np.array(found) - (0.0 if gap is None else own @ (gap @ self.decoupling.T).T)
 
     def missing_force(self, point: ForceModel) -> Array:
         """Return the force that the model with its effects lacks (rows, n)."""
@@ -380,7 +385,7 @@ class ForceRecord:
             parts = [self._part(t, delay_s, lag_s) for t in terms]
             if effect.linear and not self.schedule:
                 once = self._once(signals, effect, shape)
-                parts = [(force, *p[1:]) for force, p in zip(once, parts, strict=True)]
+                parts = [(force, p[1], gap) for (force, gap), p in zip(once, parts, strict=True)]
             if keep and not chain and not bending:
                 # Signals of another delay or lag are of no use any more.
                 if self._parts and next(iter(self._parts))[0] != timing:
@@ -415,8 +420,11 @@ class ForceRecord:
                 qdd = qdd - np.gradient(rate, self.signals.Ts_s, axis=0)
         return replace(self.signals, q=q, qd=qd, qdd=qdd)
 
-    def _once(self, signals: Signals, effect: Effect, shape: tuple[float, ...]) -> list[Array]:
-        """Return the forces (rows, n) of a linear effect after the low-pass of the balance, once.
+    def _once(
+        self, signals: Signals, effect: Effect, shape: tuple[float, ...]
+    ) -> list[tuple[Array, tuple[Array, Array, Array] | None]]:
+        """Return the forces (rows, n) of a linear effect after the low-pass of the balance, once,
+        and its error of the positions with two derivatives, None without.
 
         They are those of the motion below the limit, as of the model's own terms. Twice filtered,
         such a force beside a parameter of the same signal would be another filter.
@@ -425,14 +433,16 @@ class ForceRecord:
         none, no_coil = np.zeros_like(q), np.zeros_like(signals.coil)
         of_motion = effect.build(replace(signals, q=q, qd=qd, qdd=qdd, coil=no_coil), shape)
         of_coil = effect.build(replace(signals, q=none, qd=none, qdd=none), shape)
+        as_q = [effect.build(replace(signals, q=x, coil=no_coil), shape) for x in (q, qd, qdd)]
         found = []
-        for moved, driven in zip(of_motion, of_coil, strict=True):
+        for moved, driven, *read in zip(of_motion, of_coil, *as_q, strict=True):
             force = np.zeros_like(self.kept[0])
             if moved.force is not None:
                 force = force + moved.force[self.band.kept]
             if driven.force is not None and np.any(driven.force):
                 force = force + self.band.smoothed(driven.force)
-            found.append(force)
+            gaps = [t.gap[self.band.kept] @ self.decoupling.T for t in read if t.gap is not None]
+            found.append((force, (gaps[0], gaps[1], gaps[2]) if gaps else None))
         return found
 
     def _part(self, term: Term, delay_s: float, lag_s: float) -> Part:

@@ -204,8 +204,9 @@ def _only_at_turns(trace: ForceTrace) -> tuple[str, ...]:
         _worth(trace, PERCENT * rows.missing, PERCENT * rows.noise)
         for rows in (trace.rows, trace.between)
     )
-    rubbed = trace.found.point.rubbed
-    return tuple(n for n in trace.places.dof if n in rubbed and n in there and n not in between)
+    names = trace.places.dof
+    rubbed = {n for _, f in trace.found.point.rubbed(trace.places) for n in np.array(names)[f != 0]}
+    return tuple(n for n in names if n in rubbed and n in there and n not in between)
 
 
 def _nearest(trace: ForceTrace) -> str:

@@ -118,6 +118,15 @@ def _confirmed(k: int, beside: Beside, options: SearchOptions) -> bool:
     return sure and gain.share > options.least_gain
 
 
+def explained_by_any_form(
+    point: ForceModel, training: Training, told_from_model: float
+) -> NDArray[np.bool_]:
+    """Return the equations (n,) of which every term is free with a model's effects, so that a free
+    form beside them explains all."""
+    at = training.at(point)
+    return training.all_free | _all_free(at, training.group_columns(at), told_from_model)
+
+
 def without_scales(
     point: ForceModel, effects: Sequence[Effect], training: Training, told_from_model: float
 ) -> list[Effect]:

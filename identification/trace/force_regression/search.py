@@ -34,6 +34,7 @@ from .rated_candidate import (
     rate,
     rated_beside,
 )
+from .scale_of_equations import without_scales
 from .training_records import Training, missing_share
 
 Progress = Callable[[str, float], None]
@@ -278,6 +279,8 @@ def _ranking(
 ) -> list[Rated]:
     point = state.point
     fresh = [e for e in table if e.identity not in state.dropped]
+    if any(p.effect.linear for p in point.placed):
+        fresh = without_scales(point, fresh, training, options.told_from_model)
     ranking = rate(point, _new(fresh, point), training, options)
     for p in point.placed:
         instead = [e for e in _asked(fresh, point) if e != p.effect and _exclude(e, p.effect)]

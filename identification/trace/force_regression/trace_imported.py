@@ -50,6 +50,7 @@ from .reported_errors import PooledError, ReportedError, output_noise, reported_
 from .residual_whitening import Whitening, whitening_of
 from .richest_free_form import residual_of_richest
 from .scale_of_equations import (
+    explained_by_any_form,
     freed_if_told,
     notes_on_held,
     with_scale,
@@ -358,10 +359,8 @@ def _weighed(
     fitted, limit_hz = training.records, training.whitening.cutoff_hz
     left = residual_of_richest(point, fitted, Beside.of(point, training).plain.own)
     missing = [r.varying(r.missing_force(point)) for r in fitted]
-    # If all terms of an equation are free, a free form explains all of it and tells nothing.
-    left = [
-        np.where(training.all_free, plain, form) for form, plain in zip(left, missing, strict=True)
-    ]
+    empty = explained_by_any_form(point, training, options.told_from_model)
+    left = [np.where(empty, plain, form) for form, plain in zip(left, missing, strict=True)]
     white = whitening_of(left, [r.band.row_s for r in fitted], limit_hz)
     weighed = replace(training, whitening=white)
     new = {r.placed.effect.identity for r in found}
@@ -399,13 +398,14 @@ def _between_turns(
 
     Empty if there is no friction, or too few rows are left.
     """
-    names = training.records[0].signals.places.dof
-    rubbed = np.array([name in point.rubbed for name in names])
+    rubbed = point.rubbed(training.records[0].signals.places)
+    if not rubbed:
+        return ()
     records = tuple(r.between_turns(rubbed) for r in training.records)
     moving, left = (
         np.sum([r.moves.sum(axis=0) for r in some], axis=0) for some in (training.records, records)
     )
-    if not rubbed.any() or np.any(left < options.reported * moving):
+    if np.any(left < options.reported * moving):
         return ()
     return (replace(training, records=records),)
 

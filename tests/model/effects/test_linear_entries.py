@@ -180,7 +180,7 @@ def test_a_wrong_lever_is_one_of_either_input() -> None:
 def test_a_wrong_fixed_mass_is_inertia_or_the_gain_of_the_input() -> None:
     one = (matrix[:1, :1] for matrix in (M, D, K))
     trace = found(ONE, *one, np.eye(1))
-    assert named(trace) == [{"linear.inertia@x", "coil_gain@f"}]
+    assert named(trace) == [{"linear.inertia@x", "coil_gain@f", "reading.gain@x"}]
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e10])

@@ -26,6 +26,7 @@ K: [[1.0, 0.0], [0.0, 1.0]]
 """
 TS, ROWS = 1e-3, 4000
 NUMBERS = {
+    "reading.gain": ((0.04,), ()),
     "reading.quadratic": ((-0.7,), ()),
     "reading.cubic": ((1.3,), ()),
     "reading.rational": ((-0.7,), (1.2,)),

@@ -203,7 +203,8 @@ def test_a_dof_lacks_what_a_free_form_takes_if_it_matters() -> None:
 
 def test_what_matters_at_turns_only_is_told_from_what_matters_everywhere() -> None:
     trace = left_with([5.0, 5.0], [2.0, 2.0])
-    trace.found = SimpleNamespace(point=SimpleNamespace(rubbed={"x"}))
+    x = np.array([1.0, 0.0])
+    trace.found = SimpleNamespace(point=SimpleNamespace(rubbed=lambda _: [(x, x)]))
     quiet = FittedRows(*np.array([[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]]) / 100.0)
     for between, expected in ((None, ()), (quiet, ("x",)), (trace.rows, ())):
         trace.between = between

@@ -14,7 +14,8 @@ PERCENT = 100.0
 
 def percent(share: float, digits: int = 2) -> str:
     """Return a share in per cent, such as 3.2 %."""
-    return f"{PERCENT * share:.{digits}g} %"
+    # Rounded, and then in full: 100, not 1e+02.
+    return f"{float(f'{PERCENT * share:.{digits}g}'):g} %"
 
 
 def value_with_interval(value: float, se: float | None, plus_minus: str = "+-") -> str:

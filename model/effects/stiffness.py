@@ -9,15 +9,17 @@ position (Deur et al., *An electronic throttle control strategy*, 2004). Buckled
 springs level off within their travel, and such a spring that pushes away from its middle snaps
 through; foam and tissue harden exponentially (Fung, *Biomechanics*, 1993, ch. 7). Rubber and
 polymers creep: a spring in series with a damper, beside the declared one, is soft when slow and
-stiff when fast (Lakes, *Viscoelastic Materials*, 2009, ch. 2). Signature: a force that depends on
-the pose only, not on the speed; the cubic part responds at odd lines of a multisine, the quadratic
-part at even lines and in the mean. A sensor's nonlinearity instead looks like a force that grows
-with frequency squared, and also appears in the non-rigid part of the readings.
+stiff when fast; several such arms stand for creep that has no time of its own (Lakes, *Viscoelastic
+Materials*, 2009, ch. 2). Signature: a force that depends on the pose only, not on the speed; the
+cubic part responds at odd lines of a multisine, the quadratic part at even lines and in the mean. A
+sensor's nonlinearity instead looks like a force that grows with frequency squared, and also appears
+in the non-rigid part of the readings.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -121,19 +123,26 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             )
             found += [_leveling(places, i, name, extent) for name in _LEVELING]
             found += [_exponential(places, i, way, extent) for way in _WAYS]
+            creep = Effect(
+                "stiffness.viscoelastic",
+                "Viscoelastic spring",
+                "viscoelasticity",
+                (dof,),
+                "force = -k (q - p), p is q lagged by tau",
+                (Quantity("k", f"{force}/{unit}", 0.0),),
+                partial(_viscoelastic, dof=i),
+                (Quantity("tau", "s", shortest_s, 100.0, log=True),),
+                tuple((max(tau, shortest_s),) for tau in _CREEP_S),
+                absorbed_by="far slower: damping; far faster: stiffness",
+                told_apart_by="slow and fast excitation",
+            )
+            found.append(creep)
             found.append(
-                Effect(
-                    "stiffness.viscoelastic",
-                    "Viscoelastic spring",
-                    "viscoelasticity",
-                    (dof,),
-                    "force = -k (q - p), p is q lagged by tau",
-                    (Quantity("k", f"{force}/{unit}", 0.0),),
-                    partial(_viscoelastic, dof=i),
-                    (Quantity("tau", "s", shortest_s, 100.0, log=True),),
-                    tuple((max(tau, shortest_s),) for tau in _CREEP_S),
-                    absorbed_by="far slower: damping; far faster: stiffness",
-                    told_apart_by="slow and fast excitation",
+                replace(
+                    creep,
+                    key="stiffness.viscoelastic.another",
+                    title="Another viscoelastic spring",
+                    beside="stiffness.viscoelastic",
                 )
             )
     if places.beam:

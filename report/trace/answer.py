@@ -202,6 +202,6 @@ def _rest_of_imported(result: ForceOutcome) -> str:
     if clauses or not np.all(result.after.force_percent <= noise):
         return f"No undeclared effect was confirmed. The model leaves {left} unexplained.{lacks}"
     return (
-        f"No undeclared effect was confirmed. The model leaves {left}, which is noise to within "
-        f"{percent(least, 1)} of that force."
+        f"No undeclared effect was confirmed. The model leaves {left}: no more than noise and the "
+        f"{percent(least, 1)} of that force to which an equation is trusted."
     )

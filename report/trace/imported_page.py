@@ -19,6 +19,7 @@ from ...identification.trace.force_regression.force_trace_summary import (
 )
 from ...identification.trace.force_regression.found_law import FoundLaw
 from ...identification.trace.force_regression.rated_candidate import Rated
+from ...identification.trace.force_regression.reported_errors import ReportedError
 from ...identification.trace.force_regression.trace_imported import ForceTrace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import (
@@ -301,13 +302,17 @@ def _provenance(trace: ForceTrace, command: str) -> tuple[Part, ...]:
     return tuple(parts)
 
 
+def _missing(error: ReportedError) -> str:
+    """Return the missing force over the acting force, of the DOF on which one acts."""
+    acts = error.force_acting > 0.0
+    ratios = error.force[acts] / error.force_acting[acts]
+    return f"{100 * np.sqrt(np.mean(ratios**2)):.3g} %" if acts.any() else "—"
+
+
 def _records(trace: ForceTrace) -> Table:
     rows = []
     for before, after, fitted in zip(trace.before, trace.after, trace.fitted, strict=True):
-        parts = [
-            f"{100 * np.sqrt(np.mean((e.force / e.force_acting) ** 2)):.3g} %"
-            for e in (before, after)
-        ]
+        parts = [_missing(e) for e in (before, after)]
         seconds = f"{fitted.rows * fitted.band.row_s:.3g} s"
         rows.append((after.record, seconds, f"{after.seconds:.3g} s", *parts))
     return Table(

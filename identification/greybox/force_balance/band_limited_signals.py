@@ -178,13 +178,25 @@ def upper_limit(experiment: Experiment, hold: Hold) -> float:
     width = max(len(freq_hz) // 32, 1)
     kernel = np.ones(width) / width
     limit = _MOST_OF_RATE[hold] / Ts_s
-    for density in psd[1:].T:
+    for density in psd[1:, _moves(experiment)].T:
         smooth = np.convolve(density, kernel, mode="same")
         inside = smooth[width : len(smooth) - width] if len(smooth) > 4 * width else smooth
         above = smooth > _ABOVE_NOISE * inside.min()
         last = len(above) if above.all() else max(int(np.argmin(above)), 1)
         limit = min(limit, float(freq_hz[1:][last - 1]))
     return max(limit, 4.0 / (rows * Ts_s))
+
+
+def rises_above_noise(experiment: Experiment, sd: Array) -> NDArray[np.bool_]:
+    """Return whether each output (n,) is ten times above its noise, of deviation sd (n,), at some
+    frequency."""
+    _, power, noise = _derivative_spectra(experiment, sd, 0)
+    return np.asarray(np.any(power > _ABOVE_NOISE * noise, axis=0))
+
+
+def _moves(experiment: Experiment) -> NDArray[np.bool_]:
+    """Return whether each output (n,) is not constant."""
+    return np.asarray(np.ptp(experiment.y, axis=0) > 0.0)
 
 
 def acceleration_limit(experiment: Experiment, sd: Array) -> float:
@@ -228,14 +240,15 @@ def _worth_its_noise(experiment: Experiment, sd: Array, order: int) -> float:
     What is left out and the noise that is let in are least together, as by Wiener's filter.
     """
     freq_hz, power, noise = _derivative_spectra(experiment, sd, order)
-    best = np.argmax(np.cumsum(power - 2.0 * noise, axis=0), axis=0)
-    return float(freq_hz[best.min()])
+    best = np.argmax(np.cumsum(power - 2.0 * noise, axis=0), axis=0)[_moves(experiment)]
+    return float(freq_hz[best.min(initial=len(freq_hz) - 1)])
 
 
 def _derivative_limit(experiment: Experiment, sd: Array, order: int, share: float) -> float:
     """Return the frequency in Hz below which noise is a share of the power of a derivative."""
     freq_hz, power, noise = _derivative_spectra(experiment, sd, order)
-    good = np.all(np.cumsum(noise, axis=0) <= share * np.cumsum(power, axis=0), axis=1)
+    less = np.cumsum(noise, axis=0) <= share * np.cumsum(power, axis=0)
+    good = np.all(less[:, _moves(experiment)], axis=1)
     found = freq_hz[good][-1] if np.any(good) else 0.0
     return max(float(found), 4.0 / (len(experiment.y) * experiment.Ts_s))
 

@@ -142,6 +142,7 @@ class ForceRecord:
         rest_hz = min(max(cutoff_hz, quiet_velocity_limit(e, sd)), law_hz)
         quiet = law if rest_hz == law_hz else BandLimited.of(e, hold, rest_hz, _OVERSAMPLED)
         moves = moving_rows(quiet.derivatives[1], sd, e.Ts_s, rest_hz, 1.0 / cutoff_hz)
+        moves &= np.ptp(e.y, axis=0) > 0.0
         return cls(
             record.name, band, signals, band.kept_derivatives(), moves[band.kept].astype(float),
             record.places.decoupling,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....model.effects.base import Placed, Quantity
-from ...rounding import DIFFERENCE
+from ...rounding import DIFFERENCE, ROUNDING
 from .force_record import ForceModel
 
 Array = NDArray[np.float64]
@@ -107,3 +107,14 @@ def moved_by(point: ForceModel, step: Array) -> ForceModel:
         placed.append(p.with_values(values[split:].tolist(), values[:split].tolist()))
         at += numbers_of(p)
     return replace(point.with_values(parameters), placed=tuple(placed))
+
+
+def silent_numbers(point: ForceModel, size: Array, power: float) -> NDArray[np.bool_]:
+    """Return which free numbers of a model change no force at all (K,), but for rounding.
+
+    size (K,): norms of their columns; those of parameters are in their scale. power: sum of squares
+    of the forces that set the scale.
+    """
+    values = np.abs(numbers(point))
+    values[: len(point.values)] = 1.0
+    return np.asarray(size * np.where(values > 0.0, values, 1.0) <= ROUNDING * np.sqrt(power))

@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from ...rounding import DIFFERENCE, ROUNDING
 from ..search_options import SearchOptions
 from .force_record import ForceModel
-from .free_numbers import moved_by, room, way
+from .free_numbers import moved_by, room, silent_numbers, way
 from .training_records import Evaluated, Training
 
 Array = NDArray[np.float64]
@@ -153,6 +153,7 @@ def _regression_at(
 ) -> tuple[Array, Array]:
     point, columns = at.point, training.columns(at, changes, shrinks=True)
     A = np.hstack([c.reshape(len(c), -1) for c in columns]).T
+    A[:, silent_numbers(point, np.linalg.norm(A, axis=0), float(at.power.sum()))] = 0.0
     b = np.concatenate([m.reshape(-1) for m in at.missing])
     rows = point.parameters.prior_rows(point.values)
     if len(rows):

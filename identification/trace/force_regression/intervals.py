@@ -13,7 +13,7 @@ from ...rounding import DIFFERENCE, ROUNDING, TINY
 from ...subspace.response_uncertainty import SURE_95
 from .candidate_fit import flat
 from .force_record import ForceModel, ForceRecord
-from .free_numbers import numbers, numbers_of
+from .free_numbers import numbers, numbers_of, silent_numbers
 from .training_records import Training
 
 Array = NDArray[np.float64]
@@ -81,9 +81,7 @@ class Influences:
         at = training.at(point)
         columns = training.columns_at(point)
         size = np.linalg.norm(flat(columns), axis=0)
-        values = np.abs(numbers(point))
-        values[: len(point.values)] = 1.0  # columns of parameters are in their scale
-        silent = size * np.where(values > 0.0, values, 1.0) <= ROUNDING * np.sqrt(at.power.sum())
+        silent = silent_numbers(point, size, float(at.power.sum()))
         size = np.where(silent, 1.0, size)
         own = columns if instruments is None else instruments.columns_at(point)
         products = training.blocks.products(own, columns, at.missing) / size[:, None]

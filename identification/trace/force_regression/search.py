@@ -103,7 +103,7 @@ def compared(
 def _found(state: _State, nearest: Sequence[Rated], options: SearchOptions) -> Searched:
     last = {p.effect.identity: p for p in state.point.placed}
     final = [replace(r, placed=last[key]) for key, r in state.rated.items()]
-    final.sort(key=lambda r: (is_free(r.placed), -r.force))
+    final.sort(key=lambda r: (is_free(r.placed), bool(r.placed.effect.beside), -r.force))
     gone = tuple(name for name in state.dropped if name not in last)
     return Searched(state.point, tuple(final), tuple(nearest[: options.patience]), gone)
 

@@ -44,6 +44,7 @@ from .gauss_newton_fit import first_fit
 from .held_out_gain import Blocks
 from .instrumental_variables import Unbiased
 from .lines_in_missing_force import missing_lines
+from .outputs_at_rest import with_outputs_at_rest
 from .position_spectrum import position_periods
 from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
@@ -151,8 +152,11 @@ def _traced(
     _require_rows(records, options)
     records, hold = in_one_session(records), config.input
     sd = output_noise(records)
-    limit_hz = middle_limit([r.experiment for r in records], hold)
-    limit_hz = min(limit_hz, *(acceleration_limit(r.experiment, sd) for r in records))
+    records, at_rest = with_outputs_at_rest(records, sd)
+    limit_hz = min(
+        middle_limit([r.experiment for r in records], hold),
+        *(acceleration_limit(r.experiment, sd) for r in records),
+    )
     options = replace(options, blocks=_blocks(records, limit_hz, options))
     begins = [round((1.0 - options.reported) * r.rows) for r in records]
     train = [r.cut(0, at) for r, at in zip(records, begins, strict=True)]
@@ -222,7 +226,7 @@ def _traced(
         before, after, last.rows, last.between, PERCENT * last.unseen, last.left_share,
         last.leaning, curves, sd, stated, limit_hz, fitted, reported,
         (
-            *notes, *notes_on_held(found.point, held_for), *table.notes,
+            *notes, *at_rest, *notes_on_held(found.point, held_for), *table.notes,
             *_at_limits(found.point), *_held(found.point),
         ), options,
     )  # fmt: skip

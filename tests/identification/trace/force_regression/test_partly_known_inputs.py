@@ -100,7 +100,7 @@ def test_effect_and_numbers_are_found_beside_a_free_gain(seed: int, friction: fl
 def test_answer_says_where_noise_is_all_that_is_left() -> None:
     """The model leaves 0.7 % of the force, as much as the noise; half of a per cent is an error."""
     result = force_outcome(traced(1, 0.0))
-    assert "noise to within 0.5 % of that force" in imported_answer(result)
+    assert "no more than noise and the 0.5 % of that force" in imported_answer(result)
     assert result.nearest == ""
     quiet = replace(result.after, noise_percent=np.zeros(2))
     louder = replace(quiet, force_percent=np.array([0.6, 0.1]))

@@ -229,9 +229,11 @@ def velocity_limit(experiment: Experiment, sd: Array) -> float:
 def position_limit(experiment: Experiment, sd: Array) -> float:
     """Return the frequency in Hz up to which every position is worth its noise.
 
-    What is added to the position is more than its noise. It is 0.4 of the rate at most.
+    What is added to the position is more than its noise. It is infinite from 0.4 of the rate on: no
+    frequency is to be left out then.
     """
-    return min(_worth_its_noise(experiment, sd, 0), _WIDEST / experiment.Ts_s)
+    limit_hz = _worth_its_noise(experiment, sd, 0)
+    return limit_hz if limit_hz < _WIDEST / experiment.Ts_s else math.inf
 
 
 def _worth_its_noise(experiment: Experiment, sd: Array, order: int) -> float:

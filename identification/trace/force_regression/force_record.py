@@ -130,7 +130,9 @@ class ForceRecord:
         q, qd, qdd = law.derivatives[:-1]
         # Positions are above their noise farther up than velocities are.
         position_hz = position_limit(e, sd)
-        if position_hz > law_hz:
+        if np.isinf(position_hz):
+            q = e.y
+        elif position_hz > law_hz:
             q = BandLimited.of(e, hold, position_hz, _OVERSAMPLED).derivatives[0]
         every_row = replace(law, kept=slice(0, len(q), 1))
         none = np.zeros(len(q))

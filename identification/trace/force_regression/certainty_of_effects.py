@@ -17,6 +17,7 @@ from .free_numbers import numbers
 from .gauss_newton_fit import fit_numbers
 from .instrumental_variables import Unbiased
 from .intervals import Influences, Uncertainty, relative_force_errors
+from .noise_through_laws import noise_with_laws
 from .richest_free_form import foretold, residual_of_richest
 from .scale_of_equations import explained_by_any_form
 from .search import Searched
@@ -39,18 +40,23 @@ class FittedRows:
 
     @classmethod
     def of(
-        cls, point: ForceModel, training: Training, own: Sequence[Array], told_from_model: float
+        cls,
+        point: ForceModel,
+        training: Training,
+        own: Sequence[Array],
+        noise: Sequence[Array],
+        told_from_model: float,
     ) -> FittedRows:
         """Return what a model with columns `own` (C, rows, n), without weights, leaves of each
-        training record."""
+        training record. noise: what that of the outputs gives in each (n,)."""
         records = training.records
         force = _rms([r.acting_force(point) for r in records])
         missing = _rms([r.varying(r.missing_force(point)) for r in records])
         left = _rms(residual_of_richest(point, records, own, unlisted=True))
-        noise = _pooled([r.noise_force(point) for r in records], records)
+        pooled = _pooled(noise, records)
         empty = explained_by_any_form(point, training, told_from_model)
         form = np.where(empty, np.nan, left)
-        return cls(missing / force, form / force, noise / force)
+        return cls(missing / force, form / force, pooled / force)
 
     @property
     def any_law(self) -> Array:
@@ -104,10 +110,14 @@ class Certainty:
         uncertainty = Uncertainty.of(point, training, moved, instruments)
         whole = Beside.of(found.point, training)
         told = options.told_from_model
-        rows = FittedRows.of(found.point, training, whole.plain.own, told)
-        between = [
-            FittedRows.of(found.point, p, Beside.of(found.point, p).plain.own, told) for p in parts
-        ]
+        noisier = others[-1].records
+        noise = noise_with_laws(found.point, training.records, noisier)
+        rows = FittedRows.of(found.point, training, whole.plain.own, noise, told)
+        between = []
+        for part in parts:
+            own = Beside.of(found.point, part).plain.own
+            noise = noise_with_laws(found.point, part.records, noisier)
+            between.append(FittedRows.of(found.point, part, own, noise, told))
         force = _rms([r.acting_force(found.point) for r in fitted])
         force_errors = relative_force_errors(point, fitted, uncertainty)
         left_share = _left_share(found, training, rows.noise, options)

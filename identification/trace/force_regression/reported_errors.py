@@ -87,13 +87,18 @@ def _step(values: Array) -> float:
 
 
 def reported_error(
-    point: ForceModel, record: TraceRecord, begin: int, seen: ForceRecord, stated: Noise | None
+    point: ForceModel,
+    record: TraceRecord,
+    begin: int,
+    below: tuple[ForceRecord, Array],
+    stated: Noise | None,
 ) -> ReportedError:
     """Return the errors of a model on the rows of a record from `begin` on.
 
-    seen: the same rows below the band's limit. stated: the noise that the records state, None if
-    they do not.
+    below: the same rows below the band's limit, and the RMS missing force that the noise of the
+    outputs gives there (n,). stated: the noise that the records state, None if they do not.
     """
+    seen, noise = below
     missing = seen.varying(seen.missing_force(point))
     acting = seen.acting_force(point)
     e = record.experiment.rows(begin, record.rows)
@@ -111,7 +116,7 @@ def reported_error(
         e.y.std(axis=0),
         missing.std(axis=0),
         acting.std(axis=0),
-        seen.noise_force(point),
+        noise,
         settled,
     )
 

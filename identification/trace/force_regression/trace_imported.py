@@ -44,6 +44,7 @@ from .gauss_newton_fit import first_fit
 from .held_out_gain import Blocks
 from .instrumental_variables import Unbiased
 from .lines_in_missing_force import missing_lines
+from .noise_through_laws import noise_with_laws
 from .outputs_at_rest import with_outputs_at_rest
 from .position_spectrum import position_periods
 from .rated_candidate import Rated
@@ -165,11 +166,9 @@ def _traced(
     fitted = force_records(train, hold, limit_hz, law_hz, sd)
     whole = force_records(records, hold, limit_hz, law_hz, sd)
     reported = _counted_behind(begins, whole)
+    noisy = [_noisier(r, sd, seed) for seed, r in enumerate(records)]
     places = records[0].places
-    covered = extent(train)
-    # A resonance shows below its frequency as compliance: at half of it, a quarter of the mass's
-    # force. Farther below it is a change of mass, stiffness and damping.
-    covered = replace(covered, fastest_hz=min(covered.fastest_hz, 2.0 * limit_hz))
+    covered = _within_band(extent(train), limit_hz)
     model = declared_model(config)
 
     progress("fitting the declared model", options.share_done(-1))
@@ -194,8 +193,12 @@ def _traced(
             if step != _MIDDLE
         ]
         unbiased = Unbiased.of(found.point, training, others, train, hold, law_hz, sd, options)
-        noisy, more = [_noisier(r, sd, seed) for seed, r in enumerate(train)], np.sqrt(2.0) * sd
-        others.append(_training_below(found.point, noisy, hold, limit_hz, law_hz, more, options))
+        others.append(
+            _training_below(
+                found.point, [r.cut(0, at) for r, at in zip(noisy, begins, strict=True)],
+                hold, limit_hz, law_hz, np.sqrt(2.0) * sd, options,
+            )
+        )  # fmt: skip
         parts = _between_turns(found.point, training, options)
         return Certainty.of(found, fitted, training, others, options, unbiased, parts)
 
@@ -217,8 +220,11 @@ def _traced(
     progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
     if not found.rated:
         declared = found.point  # nothing was found: use its numbers
+    louder = _counted_behind(
+        begins, force_records(noisy, hold, limit_hz, law_hz, np.sqrt(2.0) * sd)
+    )
     before, after = (
-        _reported(point, records, begins, reported) for point in (declared, found.point)
+        _reported(point, records, begins, reported, louder) for point in (declared, found.point)
     )
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(
@@ -230,6 +236,15 @@ def _traced(
             *_at_limits(found.point), *_held(found.point),
         ), options,
     )  # fmt: skip
+
+
+def _within_band(covered: Extent, limit_hz: float) -> Extent:
+    """Return the range of records whose frequencies a balance below a limit can show.
+
+    A resonance shows below its frequency as compliance: at half of it, a quarter of the mass's
+    force. Farther below it is a change of mass, stiffness and damping.
+    """
+    return replace(covered, fastest_hz=min(covered.fastest_hz, 2.0 * limit_hz))
 
 
 def _searched_and_told(
@@ -329,11 +344,14 @@ def _reported(
     records: Sequence[TraceRecord],
     begins: Sequence[int],
     seen: Sequence[ForceRecord],
+    noisier: Sequence[ForceRecord],
 ) -> tuple[ReportedError, ...]:
-    """Return the errors of a model on the rows that only report; seen: below the band's limit."""
-    noise = stated_noise([r.experiment for r in records])
-    each = zip(records, begins, seen, strict=True)
-    return tuple(reported_error(point, r, begin, below, noise) for r, begin, below in each)
+    """Return the errors of a model on the rows that only report; seen: below the band's limit, and
+    with more noise."""
+    stated = stated_noise([r.experiment for r in records])
+    noise = noise_with_laws(point, seen, noisier)
+    each = zip(records, begins, zip(seen, noise, strict=True), strict=True)
+    return tuple(reported_error(point, r, begin, below, stated) for r, begin, below in each)
 
 
 def _unweighed(

@@ -43,6 +43,7 @@ def words_of(found: ForceTrace) -> list[str]:
     names = found.found.point.parameters.names
     values = [
         f"{name} = {value_with_interval(p.value, p.se)} {p.unit}"
+        + (" (not told by these records)" if p.se is None else "")
         for name, p in model_with_effects(found).parameters.items()
         if name in names
     ]

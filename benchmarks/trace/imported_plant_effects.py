@@ -305,7 +305,8 @@ def _numbers(
     tenth = 0.1 * _acting(plant, plain, place).std()
     v, pitch = w * rng.uniform(0.005, 0.03), 4.0 * q / rng.uniform(3.0, 12.0)
     peak, share, phase = rng.uniform(0.3, 0.8), rng.uniform(0.1, 0.4), rng.uniform(0.0, 2 * np.pi)
-    stop = np.quantile(plain.q[:, dof], rng.uniform(0.5, 0.8))
+    often = rng.uniform(0.5, 0.8)
+    stop, below = np.quantile(plain.q[:, dof], [often, 1.0 - often])
     seconds, middle = len(plain.u) * plant.Ts_s, _middle_hz(plant, plain, dof)
     value = {name: number for name, (number, _) in plant.parameters.items()}
     mass = value[next(iter(value))]
@@ -363,7 +364,7 @@ def _numbers(
         Kind.WARMING_FRICTION: (tenth, v, 4.0 * share, seconds * peak**2),
         Kind.WARMING_DAMPING: (tenth / w, seconds * peak**2),
         Kind.BUFFER: (
-            3.0 * tenth / q, np.sign(share - 0.25) * stop, 0.5 * peak / (2.0 * np.pi * middle),
+            3.0 * tenth / q, stop if share > 0.25 else below, 0.5 * peak / (2.0 * np.pi * middle),
             np.sign(share - 0.25),
         ),
         Kind.BENT: (np.sign(share - 0.25) * (0.01 + 0.3 * abs(share - 0.25)) / q,),

@@ -60,7 +60,13 @@ def fitted_rivals(
     fitted.sort(key=lambda f: float(f.errors.sum()))
     alike = [f for f in fitted if not _worse(f, fitted[0], training.blocks, options)]
     there = {f.rated.placed.effect.key for f in alike}
-    alike.sort(key=lambda f: (f.numbers, not there.isdisjoint(f.rated.placed.effect.contains)))
+    alike.sort(
+        key=lambda f: (
+            f.numbers,
+            not there.isdisjoint(f.rated.placed.effect.contains),
+            f.rated.numbers,
+        )
+    )
     inputs = set(training.records[0].signals.places.actuators)
     if all(inputs.issuperset(p.effect.where) for p in beside.placed):
         # Behind the laws of its inputs the plant is linear. The noise of the readings makes one of

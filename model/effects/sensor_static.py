@@ -116,7 +116,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 def _absorbed(spare: bool, power: int) -> str:
     if not spare:
-        return "the model itself" if power == 1 else "a nonlinearity of the plant"
+        return "the model itself" if power == 1 else "a nonlinearity of the platform"
     return "same for all sensors: the whole model, by the same factor" if power == 1 else ""
 
 

@@ -48,7 +48,7 @@ _WAYS, _HARDENS = {"up": 1.0, "down": -1.0}, (0.2, 10.0)
 over the same. With a longer one it is a quadratic spring."""
 _CREEP_S = (0.03, 0.3, 3.0)
 """Start values of a creep's time."""
-_LINEAR = "the part linear in the position: the declared stiffness"
+_LINEAR = "the part linear in the pose: the declared stiffness"
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:

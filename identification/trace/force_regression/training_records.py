@@ -187,10 +187,10 @@ class Training:
 
     def _forces_of(self, at: Evaluated, changes: Sequence[Array]) -> tuple[list[Array], Array]:
         n = len(at.power)
+        weights = [(g * self.scale[:, None]).reshape(-1, n) for g in at.setting]
         forces = [at.share * (c[:, 0] - c[:, 1] - c[:, 2]) for c in changes]
         along = sum(
-            _along(c.reshape(len(c), -1, c.shape[-1]), (g * self.scale[:, None]).reshape(-1, n))
-            for c, g in zip(changes, at.setting, strict=True)
+            _along(c.reshape(len(c), len(w), n), w) for c, w in zip(changes, weights, strict=True)
         )
         return forces, along / np.maximum(at.power, TINY)
 

@@ -24,6 +24,7 @@ _STARTS = (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Start positions of a stop over three standard deviations of the record with most motion."""
 _APART = "two amplitudes of excitation: the kink does not move"
 _SIDES = {"above": 1.0, "below": -1.0}
+_NAMES = {"above": "Upper", "below": "Lower"}
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
@@ -54,7 +55,7 @@ def _stops(places: Places, i: int, side: str, middle: float, wide: float) -> lis
             told_apart_by=_APART,
         ),
         Effect(
-            f"stiffness.stop.{side}", f"Stop with spring and damper {side}", "stiffness",
+            f"stiffness.stop.{side}", f"{_NAMES[side]} stop with spring and damper", "stiffness",
             (places.dof[i],), f"force = -k (q - q0) - c q' {where}",
             (replace(k, another_below=True), c), push, q0, starts,
             absorbed_by="the part linear in the motion: declared stiffness and damping",

@@ -14,8 +14,12 @@ PERCENT = 100.0
 
 def percent(share: float, digits: int = 2) -> str:
     """Return a share in per cent, such as 3.2 %."""
-    # Rounded, and then in full: 100, not 1e+02.
-    return f"{float(f'{PERCENT * share:.{digits}g}'):g} %"
+    return f"{in_full(PERCENT * share, digits)} %"
+
+
+def in_full(value: float, digits: int) -> str:
+    """Return a number rounded to some digits, without a power of ten: 770, not 7.7e+02."""
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 def value_with_interval(value: float, se: float | None, plus_minus: str = "+-") -> str:

@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from .base import Effect, Places, Quantity, Signals, Term, on_dof
-from .end_stop import contact
+from .end_stop import contact, lower_edge, upper_edge
 from .lag_and_hysteresis_recursions import play, slip_range
 from .operating_range import Extent
 
@@ -55,8 +55,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 absorbed_by="the part linear in the position: the declared stiffness",
                 told_apart_by="two amplitudes of excitation: the kinks do not move",
                 contains={
-                    "stiffness.one_sided": _upper_edge,
-                    "stiffness.one_sided.below": _lower_edge,
+                    "stiffness.one_sided": upper_edge,
+                    "stiffness.one_sided.below": lower_edge,
                 },
             ),
             Effect(
@@ -76,8 +76,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                 told_apart_by="two amplitudes of excitation: the kinks do not move",
                 contains={
                     "backlash.dead_zone_spring": tuple,
-                    "stiffness.stop.above": _upper_edge,
-                    "stiffness.stop.below": _lower_edge,
+                    "stiffness.stop.above": upper_edge,
+                    "stiffness.stop.below": lower_edge,
                 },
             ),
             Effect(
@@ -105,19 +105,8 @@ def _dead_zone_spring(signals: Signals, shape: Sequence[float], *, dof: int) -> 
 
 def _dead_zone_contact(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:
     away = signals.q[:, dof] - shape[0]
-    sides = [contact(signals, dof, sign * away - shape[1], sign) for sign in (1.0, -1.0)]
-    forces = (
-        sum(t.force for t in pair if t.force is not None) for pair in zip(*sides, strict=True)
-    )
-    return [Term(force=np.asarray(force)) for force in forces]
-
-
-def _upper_edge(shape: Sequence[float]) -> tuple[float, ...]:
-    return (shape[0] + shape[1],)
-
-
-def _lower_edge(shape: Sequence[float]) -> tuple[float, ...]:
-    return (shape[0] - shape[1],)
+    above, below = (contact(signals, dof, sign * away - shape[1], sign) for sign in (1.0, -1.0))
+    return [on_dof(signals, dof, one + other) for one, other in zip(above, below, strict=True)]
 
 
 def _play(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Term]:

@@ -65,8 +65,8 @@ def _stops(places: Places, i: int, side: str, middle: float, wide: float) -> lis
     ]  # fmt: skip
 
 
-def contact(signals: Signals, dof: int, beyond: Array, sign: float) -> list[Term]:
-    """Return the forces of the spring and of the damper of a stop, for k and c of 1.
+def contact(signals: Signals, dof: int, beyond: Array, sign: float) -> tuple[Array, Array]:
+    """Return the forces (N,) of the spring and of the damper of a stop, for k and c of 1.
 
     beyond (N,): how far the DOF is beyond its edge; sign: 1 if the stop is above, -1 if below.
     """
@@ -74,12 +74,22 @@ def contact(signals: Signals, dof: int, beyond: Array, sign: float) -> list[Term
     # The share of a row's time in which it touches, as it moves on by `way` meanwhile.
     way = np.maximum(np.abs(speed) * signals.Ts_s, np.finfo(float).tiny)
     touches = np.clip(0.5 + beyond / way, 0.0, 1.0)
-    deflection = sign * np.maximum(beyond, 0.0)
-    return [on_dof(signals, dof, -deflection), on_dof(signals, dof, -touches * speed)]
+    return -sign * np.maximum(beyond, 0.0), -touches * speed
+
+
+def upper_edge(shape: Sequence[float]) -> tuple[float, ...]:
+    """Return the shape of a stop at the upper edge of a gap: its middle plus its half width."""
+    return (shape[0] + shape[1],)
+
+
+def lower_edge(shape: Sequence[float]) -> tuple[float, ...]:
+    """Return the shape of a stop at the lower edge of a gap: its middle less its half width."""
+    return (shape[0] - shape[1],)
 
 
 def _pushed_back(signals: Signals, shape: Sequence[float], *, dof: int, sign: float) -> list[Term]:
-    return contact(signals, dof, sign * (signals.q[:, dof] - shape[0]), sign)
+    beyond = sign * (signals.q[:, dof] - shape[0])
+    return [on_dof(signals, dof, force) for force in contact(signals, dof, beyond, sign)]
 
 
 def _spring(signals: Signals, shape: Sequence[float], *, push: Build) -> list[Term]:

@@ -15,7 +15,7 @@ from .base import Array, Signals
 
 _PARTS = 2
 """Parts of each half of a row."""
-_FAR = 20.0
+_FAR = -0.5 * float(np.log(np.finfo(float).eps))
 """Argument beyond which tanh is 1 to the last digit, and powers of e would only underflow."""
 _STILL = 1e-4
 """Change of a law's argument in a part below which the law is that of the middle, to 1e-9."""

@@ -2,11 +2,11 @@
 
 The position is a function of the reading, as a calibration states it, so that the force of a record
 is linear in the numbers; the reading of a simulated motion follows from its inverse. A gain is told
-only where parameters have other DOF, or known numbers, in common with it: else it is a change of
-units. Where a reading is a quadratic of the position, or 1
-over a gap, the position is nearly a ratio of polynomials of it. A cubic sensor at low frequencies
-is a cubic spring: inertia and damping, which act on the true motion, tell the two apart. The lag of
-the only sensor is that of the only actuator if the plant is linear.
+only where parameters are of other DOF too, or where numbers are known: else it is a change of
+units. Where a reading is a quadratic of the position, or 1 over a gap, the position is nearly a
+ratio of polynomials of it. A cubic sensor at low frequencies is a cubic spring: inertia and
+damping, which act on the true motion, tell the two apart. The lag of the only sensor is that of the
+only actuator if the plant is linear.
 
 The disk of an encoder that is not centred on its shaft reads a sine of the angle too much, once a
 revolution.

@@ -25,6 +25,7 @@ from functools import partial
 import numpy as np
 
 from .base import Array, Effect, Places, Quantity, Signals, Term, on_dof
+from .end_stop import lower_edge, upper_edge
 from .force_units import unit_power
 from .lag_and_hysteresis_recursions import lagged_motion
 from .motion_between_rows import at_rows, ln_cosh, means_of_parts, positions_between_rows
@@ -117,8 +118,8 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     absorbed_by=_LINEAR,
                     told_apart_by="two amplitudes of excitation: the jump does not move",
                     contains={
-                        "stiffness.one_sided": _lower_end,
-                        "stiffness.one_sided.below": _upper_end,
+                        "stiffness.one_sided": lower_edge,
+                        "stiffness.one_sided.below": upper_edge,
                     },
                 )
             )
@@ -225,14 +226,6 @@ def _preloaded(signals: Signals, shape: Sequence[float], *, dof: int) -> list[Te
     # Also in a free run: the jump may take less than a row.
     away = (positions_between_rows(signals, dof) - shape[0]) / shape[1]
     return [on_dof(signals, dof, -at_rows(means_of_parts(away, _clipped, _integral)))]
-
-
-def _lower_end(shape: Sequence[float]) -> tuple[float, ...]:
-    return (shape[0] - shape[1],)
-
-
-def _upper_end(shape: Sequence[float]) -> tuple[float, ...]:
-    return (shape[0] + shape[1],)
 
 
 def _tanh(signals: Signals, shape: Sequence[float], *, dof: int, sign: float) -> list[Term]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ...config.model import EffectParameter
 from ...identification.subspace.response_uncertainty import SURE_95
+from ...identification.value_with_interval import in_full
 from ...model.effects.base import Effect, in_words
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.number_format import to_interval, unit_text
@@ -93,8 +94,7 @@ class _Parameter:
 def _digits(size: float, half: float) -> str:
     """Return a positive number to the first digit of half its interval, to three without one."""
     if not half > 0.0 or half >= size:
-        # Rounded, and then in full: 770, not 7.7e+02.
-        return f"{float(f'{size:.2g}' if half >= size > 0.0 else f'{size:.3g}'):g}"
+        return in_full(size, 2 if half >= size > 0.0 else 3)
     return to_interval(size, half, digits=1)
 
 

@@ -76,3 +76,14 @@ def test_law_of_a_joint_draws_both_ends() -> None:
     np.testing.assert_allclose(term.force, np.outer(-(stretch**3), [1.0, -0.1]), rtol=1e-9)
     for other in ("friction.coulomb", "backlash.dead_zone_spring", "damping.quadratic"):
         assert f"{other}@a - 0.1 b" in table
+
+
+def test_a_place_has_its_motion_and_what_a_force_there_does() -> None:
+    places = imported_places(config(GEAR))
+    for place, motion, force in (
+        ("b", (0.0, 1.0), (0.0, 1.0)),
+        ("a - 0.1 b", (1.0, -0.1), (1.0, -0.1)),
+        ("t", (1.0, 0.0), (1.0, 0.0)),
+        ("nowhere", (0.0, 0.0), (0.0, 0.0)),
+    ):
+        np.testing.assert_allclose(places.motion_at(place), [motion, force])

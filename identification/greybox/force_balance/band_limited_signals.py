@@ -178,7 +178,7 @@ def upper_limit(experiment: Experiment, hold: Hold) -> float:
     width = max(len(freq_hz) // 32, 1)
     kernel = np.ones(width) / width
     limit = _MOST_OF_RATE[hold] / Ts_s
-    for density in psd[1:, _moves(experiment)].T:
+    for density in psd[1:, moves(experiment)].T:
         smooth = np.convolve(density, kernel, mode="same")
         inside = smooth[width : len(smooth) - width] if len(smooth) > 4 * width else smooth
         above = smooth > _ABOVE_NOISE * inside.min()
@@ -194,7 +194,7 @@ def rises_above_noise(experiment: Experiment, sd: Array) -> NDArray[np.bool_]:
     return np.asarray(np.any(power > _ABOVE_NOISE * noise, axis=0))
 
 
-def _moves(experiment: Experiment) -> NDArray[np.bool_]:
+def moves(experiment: Experiment) -> NDArray[np.bool_]:
     """Return whether each output (n,) is not constant."""
     return np.asarray(np.ptp(experiment.y, axis=0) > 0.0)
 
@@ -242,7 +242,7 @@ def _worth_its_noise(experiment: Experiment, sd: Array, order: int) -> float:
     What is left out and the noise that is let in are least together, as by Wiener's filter.
     """
     freq_hz, power, noise = _derivative_spectra(experiment, sd, order)
-    best = np.argmax(np.cumsum(power - 2.0 * noise, axis=0), axis=0)[_moves(experiment)]
+    best = np.argmax(np.cumsum(power - 2.0 * noise, axis=0), axis=0)[moves(experiment)]
     return float(freq_hz[best.min(initial=len(freq_hz) - 1)])
 
 
@@ -250,7 +250,7 @@ def _derivative_limit(experiment: Experiment, sd: Array, order: int, share: floa
     """Return the frequency in Hz below which noise is a share of the power of a derivative."""
     freq_hz, power, noise = _derivative_spectra(experiment, sd, order)
     less = np.cumsum(noise, axis=0) <= share * np.cumsum(power, axis=0)
-    good = np.all(less[:, _moves(experiment)], axis=1)
+    good = np.all(less[:, moves(experiment)], axis=1)
     found = freq_hz[good][-1] if np.any(good) else 0.0
     return max(float(found), 4.0 / (len(experiment.y) * experiment.Ts_s))
 

@@ -291,7 +291,10 @@ def _amplitudes(
 def _amplitude(
     effect: Effect, size: float, left: Array, rest: Array, told_from_model: float
 ) -> Array:
-    """Return the same of an effect with one amplitude, of a force of a size."""
+    """Return the same of an effect with one amplitude (1,), of which QR and SVD are a division.
+
+    size: norm of its force. left: its force without its part in the model's columns (rows,).
+    """
     squares = float(left @ left)
     if not squares > told_from_model * size**2:
         return np.zeros(1)

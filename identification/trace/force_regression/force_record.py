@@ -24,6 +24,7 @@ from ....model.second_order import SecondOrder
 from ...greybox.experiment.intersample_input import Hold
 from ...greybox.force_balance.band_limited_signals import (
     BandLimited,
+    moves,
     position_limit,
     quiet_velocity_limit,
 )
@@ -143,10 +144,9 @@ class ForceRecord:
         # A rest is told by a velocity without much noise.
         rest_hz = min(max(cutoff_hz, quiet_velocity_limit(e, sd)), law_hz)
         quiet = law if rest_hz == law_hz else BandLimited.of(e, hold, rest_hz, _OVERSAMPLED)
-        moves = moving_rows(quiet.derivatives[1], sd, e.Ts_s, rest_hz, 1.0 / cutoff_hz)
-        moves &= np.ptp(e.y, axis=0) > 0.0
+        moving = moving_rows(quiet.derivatives[1], sd, e.Ts_s, rest_hz, 1.0 / cutoff_hz) & moves(e)
         return cls(
-            record.name, band, signals, band.kept_derivatives(), moves[band.kept].astype(float),
+            record.name, band, signals, band.kept_derivatives(), moving[band.kept].astype(float),
             record.places.decoupling,
             sd, every_row if e.moving else band, e.schedule if e.moving else {},
         )  # fmt: skip
@@ -218,17 +218,26 @@ class ForceRecord:
         n = self.signals.q.shape[1]
         if not placed.effect.linear:
             return np.zeros((len(_MATRICES), n, n))
-        one, none = np.eye(n), np.zeros((n, n))
-        still = replace(
-            self.signals, time_s=np.zeros(n), coil=np.zeros((n, self.signals.coil.shape[1]))
-        )
         found = []
         for moving in _MATRICES.values():
-            q, qd, qdd = (one if name == moving else none for name in _MATRICES.values())
-            force = placed.term(replace(still, q=q, qd=qd, qdd=qdd)).force
-            found.append(none if force is None else -force.T)
-        gap = placed.term(replace(still, q=one, qd=none, qdd=none)).gap
-        return np.array(found) - (0.0 if gap is None else own @ (gap @ self.decoupling.T).T)
+            force = placed.term(self._unit(moving)).force
+            found.append(np.zeros((n, n)) if force is None else -force.T)
+        errors = self._reading_errors(placed.effect, placed.shape)
+        reads = (a * G for a, G in zip(placed.amplitudes, errors, strict=True) if G is not None)
+        return np.array(found) - own @ sum(reads, start=np.zeros((n, n)))
+
+    def _unit(self, moving: str) -> Signals:
+        """Return signals of n rows, of each of which one DOF has a unit of q, qd or qdd."""
+        n = self.signals.q.shape[1]
+        q, qd, qdd = (np.eye(n) * (name == moving) for name in _MATRICES.values())
+        no_coil = np.zeros((n, self.signals.coil.shape[1]))
+        return replace(self.signals, time_s=np.zeros(n), coil=no_coil, q=q, qd=qd, qdd=qdd)
+
+    def _reading_errors(self, effect: Effect, shape: tuple[float, ...]) -> list[Array | None]:
+        """Return by how much positions are read too large per position (n, n), by each amplitude of
+        a linear effect; None for those that act on no reading."""
+        gaps = (t.gap for t in effect.build(self._unit("q"), shape))
+        return [None if gap is None else (gap @ self.decoupling.T).T for gap in gaps]
 
     def missing_force(self, point: ForceModel) -> Array:
         """Return the force that the model with its effects lacks (rows, n)."""
@@ -427,7 +436,7 @@ class ForceRecord:
         self, signals: Signals, effect: Effect, shape: tuple[float, ...]
     ) -> list[tuple[Array, tuple[Array, Array, Array] | None]]:
         """Return the forces (rows, n) of a linear effect after the low-pass of the balance, once,
-        and its error of the positions with two derivatives, None without.
+        and its errors of the positions with two derivatives, each (rows, n), None without.
 
         They are those of the motion below the limit, as of the model's own terms. Twice filtered,
         such a force beside a parameter of the same signal would be another filter.
@@ -436,16 +445,17 @@ class ForceRecord:
         none, no_coil = np.zeros_like(q), np.zeros_like(signals.coil)
         of_motion = effect.build(replace(signals, q=q, qd=qd, qdd=qdd, coil=no_coil), shape)
         of_coil = effect.build(replace(signals, q=none, qd=none, qdd=none), shape)
-        as_q = [effect.build(replace(signals, q=x, coil=no_coil), shape) for x in (q, qd, qdd)]
+        errors = self._reading_errors(effect, shape)
         found = []
-        for moved, driven, *read in zip(of_motion, of_coil, *as_q, strict=True):
+        for moved, driven, G in zip(of_motion, of_coil, errors, strict=True):
             force = np.zeros_like(self.kept[0])
             if moved.force is not None:
                 force = force + moved.force[self.band.kept]
             if driven.force is not None and np.any(driven.force):
                 force = force + self.band.smoothed(driven.force)
-            gaps = [t.gap[self.band.kept] @ self.decoupling.T for t in read if t.gap is not None]
-            found.append((force, (gaps[0], gaps[1], gaps[2]) if gaps else None))
+            rows = self.band.kept
+            gap = None if G is None else (q[rows] @ G.T, qd[rows] @ G.T, qdd[rows] @ G.T)
+            found.append((force, gap))
         return found
 
     def _part(self, term: Term, delay_s: float, lag_s: float) -> Part:

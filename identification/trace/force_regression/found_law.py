@@ -24,17 +24,17 @@ class FoundLaw:
     do not tell them apart. laws: other laws of the same class and place, not told apart either.
     left_share: share of the squared missing force without it that is left with it, beyond the noise
     of the outputs; leaning: the same without the effects in doubt; unseen: the same of all effects,
-    in the rows that neither fitted nor chose. least_gain: share that an effect
-    must take. curve: free form of its signal that surely improves on it, None without one. grew:
-    whether the model with all effects misses more force in the rows that neither fitted nor chose,
-    and whether its free run is farther from them. floors: error of the free run over what the
-    stated noise leaves of it, at the DOF where that is most, nan without them or if hardly any of
-    the error before is left, infinite if it converges without effects only and the force does not
-    confirm them. told: whether the force of one of its amplitudes is told from zero. surely:
-    standard errors from which on two numbers differ; agreement: deviations within which data agree;
-    accuracy: relative error of a right law. displaced: parameters of the model that are at a limit
-    of their range with the effects, so that one of these may do what the parameter did; of zero,
-    which a damping may be, it says nothing.
+    in the rows that neither fitted nor chose. least_gain: share that an effect must take. curve:
+    free form of its signal that surely improves on it, None without one. grew: whether the model
+    with all effects misses more force in the rows that neither fitted nor chose, and whether its
+    free run is farther from them. floors: error of the free run over what the stated noise leaves
+    of it, at the DOF where that is most, nan without them or if hardly any of the error before is
+    left, infinite if it converges without effects only and the force does not confirm them. told:
+    whether the force of one of its amplitudes is told from zero. surely: standard errors from which
+    on two numbers differ; agreement: deviations within which data agree; accuracy: relative error
+    of a right law. displaced: parameters of the model that are at a limit of their range with the
+    effects, so that one of these may do what the parameter did; of zero, which a damping may be, it
+    says nothing.
     """
 
     rated: Rated

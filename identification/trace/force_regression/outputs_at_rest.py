@@ -31,9 +31,9 @@ def with_outputs_at_rest(
     names = records[0].places.dof
     rests = np.array([~rises_above_noise(r.experiment, sd) for r in records])
     if np.any(never := rests.all(axis=0)):
-        all_over = ", ".join(np.array(names)[never])
+        resting = ", ".join(np.array(names)[never])
         raise IdentificationError(
-            f"expected outputs that are ten times above their noise somewhere, found {all_over} "
+            f"expected outputs that are ten times above their noise somewhere, found {resting} "
             "within the noise in every record: excite it, or leave it out of the model"
         )
     found = [_held(r, own) if own.any() else r for r, own in zip(records, rests, strict=True)]

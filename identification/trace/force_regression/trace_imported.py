@@ -166,7 +166,7 @@ def _traced(
     fitted = force_records(train, hold, limit_hz, law_hz, sd)
     whole = force_records(records, hold, limit_hz, law_hz, sd)
     reported = _counted_behind(begins, whole)
-    noisy = [_noisier(r, sd, seed) for seed, r in enumerate(records)]
+    noisy, more = [_noisier(r, sd, seed) for seed, r in enumerate(records)], np.sqrt(2.0) * sd
     places = records[0].places
     covered = _within_band(extent(train), limit_hz)
     model = declared_model(config)
@@ -196,7 +196,7 @@ def _traced(
         others.append(
             _training_below(
                 found.point, [r.cut(0, at) for r, at in zip(noisy, begins, strict=True)],
-                hold, limit_hz, law_hz, np.sqrt(2.0) * sd, options,
+                hold, limit_hz, law_hz, more, options,
             )
         )  # fmt: skip
         parts = _between_turns(found.point, training, options)
@@ -220,11 +220,9 @@ def _traced(
     progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
     if not found.rated:
         declared = found.point  # nothing was found: use its numbers
-    louder = _counted_behind(
-        begins, force_records(noisy, hold, limit_hz, law_hz, np.sqrt(2.0) * sd)
-    )
+    noisier = _counted_behind(begins, force_records(noisy, hold, limit_hz, law_hz, more))
     before, after = (
-        _reported(point, records, begins, reported, louder) for point in (declared, found.point)
+        _reported(point, records, begins, reported, noisier) for point in (declared, found.point)
     )
     stated = stated_noise([r.experiment for r in records]) is not None
     return ForceTrace(

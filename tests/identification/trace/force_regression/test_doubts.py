@@ -280,3 +280,36 @@ def law_of(key: str) -> FoundLaw:
         for q in (*effect.amplitudes, *effect.shape)
     }
     return found(rated, numbers)
+
+
+@pytest.mark.parametrize(
+    ("left", "noise", "share"),
+    [
+        (6.0, 0.5, 0.099),  # of 19 %
+        (8.0, 0.5, 0.177),
+        (8.0, 8.0, 0.0),  # no more than noise
+        (0.4, 0.0, 0.0),  # less than an equation is right to
+    ],
+)
+def test_what_is_left_in_unseen_rows_counts_beyond_noise_where_it_matters(
+    left: float, noise: float, share: float
+) -> None:
+    trace = left_with([0.0, 0.0], [0.0, 0.0])
+    trace.between = None
+    before = SimpleNamespace(force_percent=np.array([19.0, 1.0]))
+    after = SimpleNamespace(
+        force_percent=np.array([left, 1.0]), noise_percent=np.array([noise, 0.0])
+    )
+    found_share = force_trace_summary._left_unseen(trace, before, after)  # type: ignore[arg-type]
+    assert found_share == pytest.approx(share, abs=2e-3)
+
+
+def test_a_name_is_in_doubt_where_unseen_rows_keep_a_tenth() -> None:
+    places = imported_places(parse_text(MODEL, ModelConfig, "arm"))
+    (effect,) = (e for e in all_effects(places) if e.key == "damping.quadratic")
+    rated = Rated(Placed(effect, (), (0.1,)), None, 0.1)  # type: ignore[arg-type]
+    numbers = {"d2": EffectParameter(value=0.1, unit="N m s^2/rad^2", se=0.01)}
+    law = found(rated, numbers)
+    assert not replace(law, unseen=0.09).doubtful
+    (doubt,) = replace(law, unseen=0.18).doubts
+    assert doubt.endswith("in the rows that neither fitted nor chose, 18 % is left")

@@ -62,6 +62,16 @@ def record(law_hz: float) -> ForceRecord:
     return ForceRecord.of(imported_trace_record(e, CONFIG), "zoh", LIMIT_HZ, law_hz, np.zeros(1))
 
 
+def test_positions_are_not_filtered_where_all_frequencies_are_worth_their_noise() -> None:
+    """At a quarter of the rate the low-pass would take 2 % of them, of which a law is no part."""
+    y = np.random.default_rng(4).normal(size=(ROWS, 1))
+    e = Experiment("r", TS, np.zeros((ROWS, 1)), y, {}, frozenset(), False)
+    made = imported_trace_record(e, CONFIG)
+    for sd, unfiltered in ((0.1, True), (1.0, False)):
+        found = ForceRecord.of(made, "zoh", LIMIT_HZ, 50.0, np.array([sd]))
+        assert np.array_equal(found.signals.q, y) == unfiltered
+
+
 def damping(signals: Signals, _shape: Sequence[float]) -> list[Term]:
     return [Term(force=-signals.qd)]
 

@@ -246,6 +246,15 @@ def test_records_without_motion_or_input_are_refused_with_what_to_do():
         traced(DRIVE, constant)
 
 
+def test_a_motion_that_is_too_slow_for_its_record_is_refused_with_what_to_do():
+    t, rng = np.arange(3000) * 0.01, np.random.default_rng(1)
+    slow = np.sin(2.0 * np.pi * 0.05 * t)[:, None]
+    y = slow + 0.3 * rng.normal(size=slow.shape)
+    record = Experiment("s", 0.01, slow, y, {}, frozenset(), False)
+    with pytest.raises(IdentificationError, match=r"expected at least 16 independent values.*Hz"):
+        traced(DRIVE, record)
+
+
 def test_too_few_rows_are_refused_with_the_number():
     with pytest.raises(IdentificationError, match=r"expected at least 200 rows.*found 150"):
         traced(PENDULUM, pendulum(1, linear=True).rows(0, 150))

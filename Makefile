@@ -55,7 +55,8 @@ test test-long test-rest: $(DEV)
 # `test` and `test-long` in two parts. .ci/run runs the first, one process that only computes, beside a virtual machine:
 # more would take it the processor's caches.
 test-beside: $(DEV)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 15 -m "long and not alone"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal --durations 15 \
+	  -m "long and not alone"
 
 test-rig: $(DEV)
 	@bash tests/rig_vm/boot.sh

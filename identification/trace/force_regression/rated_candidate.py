@@ -104,7 +104,7 @@ def rate(
     screened = []
     for effect in candidates:
         told = told_share(effect, options)
-        taken = [(taken_at(rest, effect, s, told), s) for s in effect.grid]
+        taken = [(taken_at(rest, effect, s, told), s) for s in _starts(effect, instead_of)]
         starts = sorted(((t, s) for t, s in taken if t is not None), reverse=True)
         if starts:
             screened.append((starts[0][0], effect, _begins(effect, [s for _, s in starts])))
@@ -123,6 +123,23 @@ def rate(
             placed = max(kept, key=lambda p: taken_at(rest, effect, p.shape, told) or 0.0)
             found.append(rated_beside(whole, rest, placed, instead_of))
     return sorted(found, key=by_gain)
+
+
+def _starts(effect: Effect, instead_of: Placed | None) -> list[Shape]:
+    """Return the start values of an effect, also with the numbers of one whose place it would take.
+
+    Of a memory that is short beside the motion, a grid holds no value near: LuGre friction is found
+    from that of the Dahl friction that it contains.
+    """
+    if instead_of is None:
+        return list(effect.grid)
+    names = [q.name for q in instead_of.effect.shape]
+    known = dict(zip(names, instead_of.shape, strict=True))
+    also = (
+        tuple(known.get(q.name, value) for q, value in zip(effect.shape, shape, strict=True))
+        for shape in effect.grid
+    )
+    return list(dict.fromkeys([*effect.grid, *also]))
 
 
 def _begins(effect: Effect, shapes: Sequence[Shape]) -> list[Shape]:

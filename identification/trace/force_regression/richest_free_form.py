@@ -45,7 +45,7 @@ def residual_of_richest(
     """
     forms = [_smoothed(r, _forms(r.signals, unlisted)) for r in records]
     held = [_of_commands(r, point) for r in records]
-    laws = [_laws_of_commands(r, point) for r in records]
+    laws = _laws_of_commands(records, point)
     missing = [r.varying(r.missing_force(point)) for r in records]
     inputs = [r.varying(r.input_force(point.model)) for r in records]
     left = [np.zeros_like(m) for m in missing]
@@ -105,11 +105,17 @@ def _of_commands(record: ForceRecord, point: ForceModel) -> Array:
     return np.hstack(forces) if forces else np.zeros((record.rows, 0))
 
 
-def _laws_of_commands(record: ForceRecord, point: ForceModel) -> Array:
-    """Return the forces of the model's laws of commands (L, rows, n)."""
-    changes = [record.group_changes(point, p.effect, p.shape)[:, 0] for p in point.placed]
-    found = np.concatenate([np.zeros((0, *record.kept[0].shape)), *changes])
-    return found[found.any(axis=(1, 2))]
+def _laws_of_commands(records: Sequence[ForceRecord], point: ForceModel) -> list[Array]:
+    """Return the forces of the model's laws of commands for each record (L, rows, n).
+
+    Those that act in any record: another one may leave an input at zero.
+    """
+    found = []
+    for record in records:
+        changes = [record.group_changes(point, p.effect, p.shape)[:, 0] for p in point.placed]
+        found.append(np.concatenate([np.zeros((0, *record.kept[0].shape)), *changes]))
+    acts = np.any([forces.any(axis=(1, 2)) for forces in found], axis=0)
+    return [forces[acts] for forces in found]
 
 
 def foretold(

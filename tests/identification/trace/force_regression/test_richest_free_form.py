@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from levid.identification.rounding import basis_of
-from levid.identification.trace.force_regression.richest_free_form import _without_input
+from levid.identification.trace.force_regression.richest_free_form import (
+    _laws_of_commands,
+    _without_input,
+)
 
 RNG = np.random.default_rng(5)
 COMMAND = RNG.uniform(-1.0, 1.0, (400, 1))
@@ -38,3 +44,19 @@ def test_a_form_does_not_give_a_command_of_three_levels() -> None:
     command, none = np.sign(np.round(2.0 * COMMAND)), np.zeros((400, 0))
     left = _without_input(np.hstack([command**2, command**3]), none, command)
     assert given(left, command) < 0.02
+
+
+def test_a_law_of_a_command_counts_in_records_that_leave_it_at_zero() -> None:
+    """Axes that are excited one at a time: each record would have columns of its own."""
+
+    def record(rows: int, *sizes: float) -> Any:
+        changes = iter([np.full((1, 3, rows, 2), size) for size in sizes])
+        return SimpleNamespace(kept=[np.zeros((rows, 2))], group_changes=lambda *_: next(changes))
+
+    placed = [SimpleNamespace(effect=None, shape=()) for _ in range(3)]
+    point: Any = SimpleNamespace(model=None, placed=placed)
+    one, other = _laws_of_commands([record(4, 1.0, 0.0, 0.0), record(6, 0.0, 2.0, 0.0)], point)
+    assert one.shape == (2, 4, 2)
+    assert other.shape == (2, 6, 2)
+    np.testing.assert_array_equal(one[:, 0, 0], [1.0, 0.0])
+    np.testing.assert_array_equal(other[:, 0, 0], [0.0, 2.0])

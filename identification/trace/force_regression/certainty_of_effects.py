@@ -3,7 +3,7 @@ be zero."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from .free_numbers import numbers
 from .gauss_newton_fit import fit_numbers
 from .instrumental_variables import Unbiased
 from .intervals import Influences, Uncertainty, relative_force_errors
+from .negative_matrices import turned_negative
 from .noise_through_laws import noise_with_laws
 from .richest_free_form import foretold, residual_of_richest
 from .scale_of_equations import explained_by_any_form
@@ -77,6 +78,7 @@ class Certainty:
     between: FittedRows | None
     left_share: tuple[float, ...]
     leaning: tuple[float, ...]
+    negative: Mapping[str, tuple[str, ...]]
 
     @classmethod
     def of(
@@ -86,11 +88,13 @@ class Certainty:
         training: Training,
         others: Sequence[Training],
         options: SearchOptions,
+        declared: Mapping[str, float],
         unbiased: Unbiased | None = None,
         parts: Sequence[Training] = (),
     ) -> Certainty:
         """Judge the result of a search; `others`: in other bands, the last with more noise.
 
+        declared: values of the parameters in the model file.
         parts: the records of `training` with some of their rows, where the equation is better.
         unbiased: the model fitted with instruments, whose numbers take the place of the found ones
         where these miss more force than the error of an equation.
@@ -131,6 +135,7 @@ class Certainty:
             between[0] if between else None,
             left_share,
             _leaning(found, training, rows.noise, options, left_share, force_errors),
+            turned_negative(with_numbers(found, point), declared, training, uncertainty, options),
         )
 
     def says_nothing(self, options: SearchOptions) -> str | None:

@@ -406,6 +406,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.options.agreement,
                 trace.options.alike,
                 displaced,
+                trace.negative.get(rated.placed.effect.identity, ()),
             )
         )
     return tuple(laws)

@@ -34,7 +34,7 @@ class FoundLaw:
     on two numbers differ; agreement: deviations within which data agree; accuracy: relative error
     of a right law. displaced: parameters of the model that are at a limit of their range with the
     effects, so that one of these may do what the parameter did; of zero, which a damping may be, it
-    says nothing.
+    says nothing. negative: what of the model is negative with it only.
     """
 
     rated: Rated
@@ -54,6 +54,7 @@ class FoundLaw:
     agreement: float
     accuracy: float
     displaced: tuple[str, ...]
+    negative: tuple[str, ...]
 
     @property
     def doubtful(self) -> bool:
@@ -94,6 +95,9 @@ class FoundLaw:
             self._off: self.floors > self.agreement,
             f"{' and '.join(self.displaced)} ended at the limit of its range beside it": bool(
                 self.displaced
+            ),
+            f"the {' and the '.join(self.negative)} is negative with it, and not without": bool(
+                self.negative
             ),
             f"its depth would be 1, but is {self.depth:.2g}": self.partial,
         }

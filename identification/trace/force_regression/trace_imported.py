@@ -81,8 +81,9 @@ class ForceTrace:
     between: the same without the turns of DOF with friction, None without any. unseen (2, n): what
     linear terms and a form of the motion leave of blocks that did not fit them. left_share: for
     each effect found, the share of the squared missing force without it that is left with it,
-    beyond the noise of the outputs; leaning: the same without the effects in doubt. curves: free
-    forms of a law's signal that surely improve on it, by the law's identity. noise_sd (n,): of each
+    beyond the noise of the outputs; leaning: the same without the effects in doubt. negative:
+    what of the model is negative with an effect only, by its identity. curves: free forms of a
+    law's signal that surely improve on it, by the law's identity. noise_sd (n,): of each
     output; noise_stated: whether the signals files state it. fitted, reported: the records below
     the band's limit `limit_hz`.
     """
@@ -101,6 +102,7 @@ class ForceTrace:
     unseen: Array
     left_share: tuple[float, ...]
     leaning: tuple[float, ...]
+    negative: Mapping[str, tuple[str, ...]]
     curves: Mapping[str, Rated]
     noise_sd: Array
     noise_stated: bool
@@ -200,7 +202,7 @@ def _traced(
             )
         )  # fmt: skip
         parts = _between_turns(found.point, training, options)
-        return Certainty.of(found, fitted, training, others, options, unbiased, parts)
+        return Certainty.of(found, fitted, training, others, options, model.values, unbiased, parts)
 
     found = None
     if held_for:  # a scale that is held wrongly may look like a second effect: ask after the first
@@ -228,7 +230,7 @@ def _traced(
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors,
         before, after, last.rows, last.between, PERCENT * last.unseen, last.left_share,
-        last.leaning, curves, sd, stated, limit_hz, fitted, reported,
+        last.leaning, last.negative, curves, sd, stated, limit_hz, fitted, reported,
         (
             *notes, *at_rest, *notes_on_held(found.point, held_for), *table.notes,
             *_at_limits(found.point), *_held(found.point),

@@ -60,6 +60,7 @@ def found(
         6.0,
         0.02,
         displaced,
+        (),
     )
 
 
@@ -261,7 +262,7 @@ def test_what_leaves_much_and_may_be_zero_was_not_found(
     nothing = np.zeros(0)
     rows = FittedRows(nothing, nothing, nothing)
     told = certainty_of_effects.Certainty(
-        found, nothing, nothing, [np.array([error])], nothing, rows, None, (left,), (0.0,)
+        found, nothing, nothing, [np.array([error])], nothing, rows, None, (left,), (0.0,), {}
     )
     expected = rated.placed.effect.identity if gone else None
     assert told.says_nothing(SearchOptions()) == expected

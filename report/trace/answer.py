@@ -60,7 +60,8 @@ def imported_answer(result: ForceOutcome) -> str:
         )
         for law in result.laws
     ]
-    return answer(clauses, _rest_of_imported(result))
+    first = [] if result.exchange is None else [_sentence(result.exchange.sentence)]
+    return " ".join([*first, answer(clauses, _rest_of_imported(result))])
 
 
 def answer(clauses: Sequence[Clause], rest: str) -> str:

@@ -17,6 +17,7 @@ from ...json_data import plain_json
 from ...value_with_interval import PERCENT, percent
 from ..parameter_covariance import parameter_covariance
 from .certainty_of_effects import is_told
+from .exchanged_columns import Exchange
 from .found_law import FoundLaw
 from .free_numbers import at_limits, by_value, numbers_of
 from .rated_candidate import Rated
@@ -54,6 +55,7 @@ class ForceOutcome:
     at_turns: DOF with friction at which what matters is where they turn only; they count neither
     for beyond_noise nor for form_matters.
     nearest: what takes much of what is left, and was refused, as a clause; empty if nothing does.
+    exchange: what columns have to be for a model without effects to explain as much.
     """
 
     laws: tuple[FoundLaw, ...]
@@ -71,6 +73,7 @@ class ForceOutcome:
     at_turns: tuple[str, ...]
     dof: tuple[str, ...]
     nearest: str
+    exchange: Exchange | None
 
     @property
     def doubtful(self) -> bool:
@@ -82,7 +85,7 @@ class ForceOutcome:
         """Whether the model lacks what its numbers may hold a part of, beyond their intervals."""
         inexact = any(law.inexact for law in self.laws)
         more = self.form_matters or self.lacking or self.beyond_noise
-        return self.doubtful or inexact or bool(more)
+        return self.doubtful or inexact or bool(more) or self.exchange is not None
 
     @property
     def verdict(self) -> str:
@@ -166,6 +169,7 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         turning,
         trace.places.dof,
         nearest,
+        trace.exchange,
     )
 
 
@@ -293,6 +297,7 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
                 "beyond_noise": found.beyond_noise,
                 "at_turns": list(found.at_turns),
                 "lacks_something": found.lacks_something,
+                "exchanged": None if found.exchange is None else found.exchange.words,
                 "nearest": [
                     {
                         **_named(r),
@@ -407,6 +412,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.options.alike,
                 displaced,
                 trace.negative.get(rated.placed.effect.identity, ()),
+                "" if trace.exchange is None else trace.exchange.words,
             )
         )
     return tuple(laws)

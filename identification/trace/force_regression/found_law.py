@@ -35,6 +35,8 @@ class FoundLaw:
     of a right law. displaced: parameters of the model that are at a limit of their range with the
     effects, so that one of these may do what the parameter did; of zero, which a damping may be, it
     says nothing. negative: what of the model is negative with it only.
+    exchanged: with which columns exchanged the model explains as much without effects; empty if
+    there are none.
     """
 
     rated: Rated
@@ -55,6 +57,7 @@ class FoundLaw:
     accuracy: float
     displaced: tuple[str, ...]
     negative: tuple[str, ...]
+    exchanged: str
 
     @property
     def doubtful(self) -> bool:
@@ -95,6 +98,9 @@ class FoundLaw:
             self._off: self.floors > self.agreement,
             f"{' and '.join(self.displaced)} ended at the limit of its range beside it": bool(
                 self.displaced
+            ),
+            f"without any effect the model explains as much if {self.exchanged}": bool(
+                self.exchanged
             ),
             f"the {' and the '.join(self.negative)} is negative with it, and not without": bool(
                 self.negative

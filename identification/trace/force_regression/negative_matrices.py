@@ -36,7 +36,8 @@ def turned_negative(
     uncertainty: Uncertainty,
     options: SearchOptions,
 ) -> dict[str, tuple[str, ...]]:
-    """Return for each effect, by identity, what is negative with it only: "damping at x".
+    """Return for each effect, by identity, what is negative with it only: "damping at x"; under the
+    name "" what is negative of a model without any.
 
     declared: values of the parameters in the model file. uncertainty: of the numbers of the found
     point.
@@ -49,6 +50,8 @@ def turned_negative(
         error = matrix.standard_error(point, along, uncertainty)
         if dof and was >= 0.0 > least + options.standard_errors * error:
             negative[matrix] = f"{_MOVING[matrix.name][0]} at {', '.join(dof)}"
+    if not found.rated:
+        return {"": tuple(negative.values())}
     caused = dict[str, tuple[str, ...]]()
     for rated in found.rated if negative else ():
         identity = rated.placed.effect.identity

@@ -15,7 +15,6 @@ from ....model.effects.base import Effect, Places
 from ....model.effects.effect_serialization import placed_effects
 from ....model.effects.operating_range import Extent
 from ...greybox.declared_model_from_config import declared_model
-from ...greybox.experiment.intersample_input import Hold
 from ...greybox.force_balance.band_limited_signals import (
     BAND_STEPS,
     SHORTEST_ROWS,
@@ -26,7 +25,6 @@ from ...greybox.force_balance.band_limited_signals import (
 from ...greybox.free_parameters import FreeParameters, free_parameters
 from ...greybox.identify_greybox import stated_noise
 from ...records.record import IdentificationError
-from ...rounding import TINY
 from ...value_with_interval import PERCENT
 from ..records.check_common_session_time import overlap
 from ..records.coil_load_history import in_one_session
@@ -35,33 +33,28 @@ from ..records.read_records import read_records
 from ..records.record_from_log import TraceRecord
 from ..records.searched_effects import SearchedEffects, searched_effects
 from ..search_options import SearchOptions
-from .candidate_fit import Beside, lacked
+from .candidate_fit import lacked
 from .certainty_of_effects import Certainty, FittedRows, without_effect
+from .exchanged_columns import Exchange, explaining_exchange
 from .force_record import ForceModel, ForceRecord, force_records
 from .free_form_of_law_signal import curves_beside_laws
-from .free_numbers import at_limits
-from .gauss_newton_fit import first_fit
-from .held_out_gain import Blocks
 from .instrumental_variables import Unbiased
 from .lines_in_missing_force import missing_lines
 from .noise_through_laws import noise_with_laws
+from .notes_on_numbers import notes_on_numbers
 from .outputs_at_rest import with_outputs_at_rest
 from .position_spectrum import position_periods
 from .rated_candidate import Rated
 from .reported_errors import PooledError, ReportedError, output_noise, reported_error
-from .residual_whitening import Whitening, whitening_of
-from .richest_free_form import residual_of_richest
 from .scale_of_equations import (
-    explained_by_any_form,
     freed_if_told,
     notes_on_held,
-    with_scale,
-    with_told_scales,
     without_scales,
 )
 from .search import Progress, Searched, compared, search
 from .simpler_laws import with_plain_laws, with_simpler_laws
 from .training_records import Training, missing_share
+from .weighed_records import between_turns, training_below, unweighed, weighed
 
 Array = NDArray[np.float64]
 
@@ -81,11 +74,12 @@ class ForceTrace:
     between: the same without the turns of DOF with friction, None without any. unseen (2, n): what
     linear terms and a form of the motion leave of blocks that did not fit them. left_share: for
     each effect found, the share of the squared missing force without it that is left with it,
-    beyond the noise of the outputs; leaning: the same without the effects in doubt. negative:
-    what of the model is negative with an effect only, by its identity. curves: free forms of a
-    law's signal that surely improve on it, by the law's identity. noise_sd (n,): of each
-    output; noise_stated: whether the signals files state it. fitted, reported: the records below
-    the band's limit `limit_hz`.
+    beyond the noise of the outputs; leaning: the same without the effects in doubt. negative: what
+    of the model is negative with an effect only, by its identity, or without any. exchange: what
+    columns have to be for a model without effects to explain as much. curves: free forms of a law's
+    signal that surely improve on it, by the law's identity. noise_sd (n,): of each output;
+    noise_stated: whether the signals files state it. fitted, reported: the records below the band's
+    limit `limit_hz`.
     """
 
     config: ModelConfig
@@ -103,6 +97,7 @@ class ForceTrace:
     left_share: tuple[float, ...]
     leaning: tuple[float, ...]
     negative: Mapping[str, tuple[str, ...]]
+    exchange: Exchange | None
     curves: Mapping[str, Rated]
     noise_sd: Array
     noise_stated: bool
@@ -176,8 +171,8 @@ def _traced(
     progress("fitting the declared model", options.share_done(-1))
     placed = placed_effects(config.effects, places, covered)
     start = ForceModel(model, free_parameters(config), placed)
-    training, fit, held_for = _unweighed(start, fitted, limit_hz, options)
-    training, declared = _weighed(training, fit, (), options)
+    training, fit, held_for = unweighed(start, fitted, limit_hz, options)
+    training, declared = weighed(training, fit, (), options)
     covered = _with_lines(covered, declared, fitted, limit_hz)
     table = _lacking(effects, declared, training, covered, overlap(records), options)
     free = [e for e in table.free if e.where[0] in places.dof]
@@ -188,20 +183,18 @@ def _traced(
 
     def judged(found: Searched, training: Training) -> Certainty:
         others = [
-            _training_below(
-                found.point, train, hold, limit_hz * _MIDDLE / step, law_hz, sd, options
-            )
+            training_below(found.point, train, hold, limit_hz * _MIDDLE / step, law_hz, sd, options)
             for step in BAND_STEPS
             if step != _MIDDLE
         ]
         unbiased = Unbiased.of(found.point, training, others, train, hold, law_hz, sd, options)
         others.append(
-            _training_below(
+            training_below(
                 found.point, [r.cut(0, at) for r, at in zip(noisy, begins, strict=True)],
                 hold, limit_hz, law_hz, more, options,
             )
         )  # fmt: skip
-        parts = _between_turns(found.point, training, options)
+        parts = between_turns(found.point, training, options)
         return Certainty.of(found, fitted, training, others, options, model.values, unbiased, parts)
 
     found = None
@@ -211,13 +204,17 @@ def _traced(
         searched, training, found, options.most_effects, start.parameters, options
     )
     progress("comparing rivals", options.share_done(options.most_effects))
-    found = compared(found, table.named, training, options)
-    found = with_simpler_laws(found, table.named, training, options)
+    found = with_simpler_laws(
+        compared(found, table.named, training, options), table.named, training, options
+    )
     progress("intervals", options.share_done(options.most_effects))
     last = judged(with_plain_laws(found, training, options), training)
     while (empty := last.says_nothing(options)) is not None:
         last = judged(without_effect(last.found, empty, training), training)
     found = last.found
+    exchange = _exchange(
+        start, declared, found.point, training, train, limit_hz, law_hz, sd, options
+    )
     curves = curves_beside_laws(found.point, free, training, options)
     progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
     if not found.rated:
@@ -230,10 +227,10 @@ def _traced(
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors,
         before, after, last.rows, last.between, PERCENT * last.unseen, last.left_share,
-        last.leaning, last.negative, curves, sd, stated, limit_hz, fitted, reported,
+        last.leaning, last.negative, exchange, curves, sd, stated, limit_hz, fitted, reported,
         (
             *notes, *at_rest, *notes_on_held(found.point, held_for), *table.notes,
-            *_at_limits(found.point), *_held(found.point),
+            *notes_on_numbers(found.point, last.negative.get("", ())),
         ), options,
     )  # fmt: skip
 
@@ -263,9 +260,9 @@ def _searched_and_told(
     found = searched(training, begun, most)
     if found.rated and not training.weighs_what_is_left(found.point, options):
         # What was missing may have been why the weights were refused, or most of them.
-        weighed, point = _weighed(training, found.point, found.rated, options)
-        if weighed is not training:
-            training, found = weighed, searched(weighed, replace(found, point=point), most)
+        again, point = weighed(training, found.point, found.rated, options)
+        if again is not training:
+            training, found = again, searched(again, replace(found, point=point), most)
     told = freed_if_told(found.point, free, training, options)
     if told is not None:
         training, point = told
@@ -303,34 +300,6 @@ def _lacking(
     return replace(table, named=tuple(named))
 
 
-def _at_limits(point: ForceModel) -> tuple[str, ...]:
-    """Return a note for each free parameter that the fit left at a limit of its range."""
-    other = "a law that was found has taken its part, or " if point.placed else ""
-    return tuple(
-        f"{name} is at the {word} limit of its range in the model file, {limit:.4g}: widen the "
-        f"range if it may be beyond; if not, {other}the model lacks something"
-        for name, word, limit in at_limits(point)
-    )
-
-
-def _held(point: ForceModel) -> tuple[str, ...]:
-    """Return a note for each law that is held to its textbook form, or to the end of its range."""
-    found = []
-    for p in point.placed:
-        if p.plain and p.effect.equal_numbers is not None:
-            one = f"{' and '.join(p.effect.equal_numbers)} are one number"
-            what = f"{one}, as in its textbook law; the records agree"
-        elif p.plain and p.effect.whole:
-            what = "its depth is 1, as in its textbook law; the records agree"
-        elif p.plain:
-            ends = ", ".join(q.name for q in p.effect.shape if q.ends)
-            what = f"{ends} is held at the end of its range; the records see nothing beyond"
-        else:
-            continue
-        found.append(f"{p.effect.name}: {what}")
-    return tuple(found)
-
-
 def _counted_behind(rows: Sequence[int], whole: Sequence[ForceRecord]) -> tuple[ForceRecord, ...]:
     """Return records that count behind so many rows of each."""
     found = [r.counted_from(begin) for r, begin in zip(whole, rows, strict=True)]
@@ -354,82 +323,30 @@ def _reported(
     return tuple(reported_error(point, r, begin, below, stated) for r, begin, below in each)
 
 
-def _unweighed(
-    start: ForceModel, fitted: tuple[ForceRecord, ...], limit_hz: float, options: SearchOptions
-) -> tuple[Training, ForceModel, dict[str, str]]:
-    """Return the training records without weights, the model fitted to them, and the DOF for whose
-    scale each parameter is held."""
-    acting = np.concatenate([r.groups(start) for r in fitted], axis=1)
-    flat = np.maximum(np.var(acting, axis=1).max(axis=0), TINY) * np.ones((2, 1))
-    plain = Whitening(np.array([0.0, limit_hz]), flat, limit_hz)
-    blocks = Blocks.of([r.rows for r in fitted], options.blocks)
-    training = Training.unscaled(fitted, plain, blocks)
-    start, held_for = with_told_scales(start, training, options.told_from_model)
-    training = with_scale(training, training.at(start), options.told_from_model)
-    return training, first_fit(training, start), held_for
-
-
-def _weighed(
-    training: Training, point: ForceModel, found: Sequence[Rated], options: SearchOptions
-) -> tuple[Training, ForceModel]:
-    """Return the records weighed by what the richest form leaves of a model, and its fit to them.
-
-    If this fit misses more force, as much as an effect must take, the records and the point stay as
-    they are: then the weights follow noise in the motion, or a loop's answer to a random force, or
-    something large is missing. found: effects of the point that its file does not declare.
-    """
-    fitted, limit_hz = training.records, training.whitening.cutoff_hz
-    left = residual_of_richest(point, fitted, Beside.of(point, training).plain.own)
-    missing = [r.varying(r.missing_force(point)) for r in fitted]
-    empty = explained_by_any_form(point, training, options.told_from_model)
-    left = [np.where(empty, plain, form) for form, plain in zip(left, missing, strict=True)]
-    white = whitening_of(left, [r.band.row_s for r in fitted], limit_hz)
-    weighed = replace(training, whitening=white)
-    new = {r.placed.effect.identity for r in found}
-    bare = replace(point, placed=tuple(p for p in point.placed if p.effect.identity not in new))
-    weighed = with_scale(weighed, weighed.at(bare), options.told_from_model)
-    fit = first_fit(weighed, point)
-    before, after = (missing_share(training.plain.at(p)) for p in (point, fit))
-    if np.any(after**2 > (1.0 + options.least_gain) * before**2):
-        return training, point
-    return weighed, fit
-
-
-def _training_below(
-    point: ForceModel,
+def _exchange(
+    start: ForceModel,
+    declared: ForceModel,
+    found: ForceModel,
+    training: Training,
     train: Sequence[TraceRecord],
-    hold: Hold,
     limit_hz: float,
     law_hz: Sequence[float],
     sd: Array,
     options: SearchOptions,
-) -> Training:
-    """Return the training records below another limit, weighed by the found model's residual."""
-    records = force_records(train, hold, limit_hz, law_hz, sd)
-    centred = [r.varying(r.missing_force(point)) for r in records]
-    white = whitening_of(centred, [r.band.row_s for r in records], limit_hz)
-    blocks = Blocks.of([r.rows for r in records], options.blocks)
-    training = Training.unscaled(records, white, blocks)
-    return with_scale(training, training.at(replace(point, placed=())), options.told_from_model)
+) -> Exchange | None:
+    """Return what columns have to be for a model without effects to explain as much.
 
-
-def _between_turns(
-    point: ForceModel, training: Training, options: SearchOptions
-) -> tuple[Training, ...]:
-    """Return the training records without the turns of DOF with friction.
-
-    Empty if there is no friction, or too few rows are left.
+    start: the model as its file declares it; declared, found: fitted, without and with effects.
     """
-    rubbed = point.rubbed(training.records[0].signals.places)
-    if not rubbed:
-        return ()
-    records = tuple(r.between_turns(rubbed) for r in training.records)
-    moving, left = (
-        np.sum([r.moves.sum(axis=0) for r in some], axis=0) for some in (training.records, records)
-    )
-    if np.any(left < options.reported * moving):
-        return ()
-    return (replace(training, records=records),)
+
+    def missing(records: Sequence[TraceRecord], sd: Array) -> Array:
+        below = force_records(records, hold, limit_hz, law_hz, sd)
+        refitted, fit, _ = unweighed(start, below, limit_hz, options)
+        return missing_share(refitted.plain.at(fit))
+
+    hold, plain = training.records[0].band.hold, training.plain
+    before, after = (missing_share(plain.at(p)) for p in (declared, found))
+    return explaining_exchange(train, sd, missing, before, after, options)
 
 
 def _noisier(record: TraceRecord, sd: Array, seed: int) -> TraceRecord:

@@ -14,7 +14,7 @@ from levid.benchmarks.trace.judged_plants import traced
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.docs.make_effects_table import rig_places, two_dof
-from levid.identification.trace.force_regression import trace_imported
+from levid.identification.trace.force_regression import weighed_records
 from levid.identification.trace.force_regression.candidate_fit import Beside, taken_at
 from levid.identification.trace.force_regression.trace_imported import ForceTrace
 from levid.model.effects import linear_entries
@@ -209,7 +209,7 @@ def test_a_lever_is_none_where_nothing_else_tells_the_scale_of_an_equation() -> 
     # A gain of the only input of an equation of which all else is free makes all of it small.
     text = TWO.replace("[[1, 1], [0.2, -0.2]]", "[[1, 0], [0, 1]]")
     trace = found(text, M + 0.05 * ACROSS, D, K, np.eye(2))
-    training, point, _ = trace_imported._unweighed(
+    training, point, _ = weighed_records.unweighed(
         trace.declared, trace.fitted, trace.limit_hz, trace.options
     )
     beside, told = Beside.of(point, training), trace.options.told_from_model

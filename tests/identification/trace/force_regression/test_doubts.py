@@ -61,6 +61,7 @@ def found(
         0.02,
         displaced,
         (),
+        "",
     )
 
 

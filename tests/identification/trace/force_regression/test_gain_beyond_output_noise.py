@@ -10,7 +10,7 @@ import pytest
 from levid.benchmarks.trace.imported_plant_cases import declared
 from levid.benchmarks.trace.imported_plant_effects import case
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.trace.force_regression import trace_imported
+from levid.identification.trace.force_regression import weighed_records
 from levid.identification.trace.force_regression.force_record import ForceModel
 from levid.identification.trace.force_regression.gain_beyond_output_noise import (
     more_than_noise,
@@ -62,10 +62,10 @@ def geared() -> Geared:
 
     records = [imported_trace_record(record, config)]
     trace = trace_records(records, config, none_but_kept, lambda *_: None)
-    training, point, _ = trace_imported._unweighed(
+    training, point, _ = weighed_records.unweighed(
         trace.declared, trace.fitted, trace.limit_hz, trace.options
     )
-    training, point = trace_imported._weighed(training, point, (), trace.options)
+    training, point = weighed_records.weighed(training, point, (), trace.options)
     k, q0 = map(float, drawn.effects[0].numbers)
     stop = Placed(laws["stiffness.one_sided@motor"], (q0,), (k,))
     with_stop = fit_numbers(training, replace(point, placed=(stop,)))

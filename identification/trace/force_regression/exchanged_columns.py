@@ -1,0 +1,110 @@
+"""Ask whether columns of the records are exchanged or have another sign than the model says.
+
+Two sensors or actuators whose plugs are exchanged leave equations that miss most of their force.
+Couplings of all kinds explain a part of it, one after the other, and none of them is there: one
+model without any effect explains all of it, with the columns as they are connected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...value_with_interval import PERCENT
+from ..records.record_from_log import TraceRecord
+from ..search_options import SearchOptions
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """Columns that the records may have in another order or with another sign.
+
+    words: "x and y are exchanged". before, after (n,): missing force over the acting one that the
+    model without found effects leaves of the columns as they are, and then.
+    """
+
+    words: str
+    before: Array
+    after: Array
+
+    @property
+    def sentence(self) -> str:
+        """What a reader of the result has to know of it."""
+        before, after = (f"{PERCENT * float(x.max()):.3g} %" for x in (self.before, self.after))
+        return (
+            f"it looks as if {self.words}: the model would miss {after} of the force then, without "
+            f"any effect, and misses {before} as they are"
+        )
+
+
+def explaining_exchange(
+    records: Sequence[TraceRecord],
+    sd: Array,
+    missing: Callable[[Sequence[TraceRecord], Array], Array],
+    declared: Array,
+    found: Array,
+    options: SearchOptions,
+) -> Exchange | None:
+    """Return what columns have to be for a model without effects to explain as much as with those
+    found; None if there is nothing of the kind, or not much is missing.
+
+    sd (n,): noise of the outputs. missing: returns the missing force (n,), over the acting one, of
+    the declared model fitted to records with noise (n,). declared, found (n,): the same of the
+    records as they are, without and with the effects found.
+    """
+    much = options.least_gain * float(declared.max()) ** 2
+    if not much > options.least_gain**2:
+        return None
+    every = [
+        Exchange(words, declared, missing(changed, sd[order]))
+        for words, changed, order in _exchanged(records)
+    ]
+    best = min(every, key=lambda e: float(e.after.max()))
+    left = float(best.after.max())
+    explains = left**2 < much and left - float(found.max()) < options.least_force
+    return best if explains else None
+
+
+def _exchanged(
+    records: Sequence[TraceRecord],
+) -> Iterator[tuple[str, list[TraceRecord], NDArray[np.intp]]]:
+    """Yield in words each exchange of two columns of one unit and each other sign, the records with
+    it, and which output is in the place of each."""
+    places, n = records[0].places, len(records[0].places.dof)
+    for order, sign, words in _orders(places.dof, places.dof_units):
+        yield words, [_with_outputs(r, order, sign) for r in records], order
+    units = [places.command_unit(c) for c in range(places.coils)]
+    for order, sign, words in _orders(places.actuators, units):
+        yield words, [_with_inputs(r, order, sign) for r in records], np.arange(n)
+
+
+def _orders(
+    names: Sequence[str], units: Sequence[str]
+) -> Iterator[tuple[NDArray[np.intp], Array, str]]:
+    """Yield the order of columns, their signs, and what that means."""
+    own, plus = np.arange(len(names)), np.ones(len(names))
+    for i, j in combinations(range(len(names)), 2):
+        if units[i] == units[j]:
+            order = own.copy()
+            order[[i, j]] = j, i
+            yield order, plus, f"{names[i]} and {names[j]} are exchanged"
+    for i, name in enumerate(names):
+        yield own, np.where(own == i, -1.0, 1.0), f"{name} has the other sign"
+
+
+def _with_outputs(record: TraceRecord, order: NDArray[np.intp], sign: Array) -> TraceRecord:
+    e = record.experiment
+    sd, step = (None if x is None else x[order] for x in (e.noise_sd, e.resolution))
+    changed = replace(e, y=e.y[:, order] * sign, noise_sd=sd, resolution=step)
+    return replace(record, experiment=changed)
+
+
+def _with_inputs(record: TraceRecord, order: NDArray[np.intp], sign: Array) -> TraceRecord:
+    u = record.experiment.u[:, order] * sign
+    return replace(record, experiment=replace(record.experiment, u=u), coil=u)

@@ -60,7 +60,8 @@ def words_of(found: ForceTrace) -> list[str]:
     if result.floor is None:
         lines.append(
             "note: the noise of the outputs is estimated from their highest frequencies; state "
-            "noise_sd in the signals file if you know it"
+            "noise_sd in the signals file if you know it: more noise at low frequencies looks like "
+            "something that the model lacks"
         )
     return lines + [f"note: {note}" for note in found.notes]
 

@@ -199,7 +199,7 @@ def _rest_of_imported(result: ForceOutcome) -> str:
         for e, name in zip(result.after.force_percent, result.dof, strict=True)
     )
     least = SearchOptions().least_force
-    noise = result.after.noise_percent + PERCENT * least
+    noise = SearchOptions().much_left * result.after.noise_percent + PERCENT * least
     if clauses or not np.all(result.after.force_percent <= noise):
         return f"No undeclared effect was confirmed. The model leaves {left} unexplained.{lacks}"
     return (

@@ -148,8 +148,9 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
     else:
         sizes = [float(np.sqrt(np.mean(e.force_percent**2))) for e in (before, after)]
     floor = sizes[2] if free_run and trace.noise_stated else None
-    by_form = _worth(trace, PERCENT * trace.rows.missing, PERCENT * trace.rows.any_law)
-    beyond = _worth(trace, after.force_percent, after.noise_percent)
+    any_law = np.maximum(trace.rows.any_law, trace.options.much_left * trace.rows.noise)
+    by_form = _worth(trace, PERCENT * trace.rows.missing, PERCENT * any_law)
+    beyond = _beyond_noise(trace, after)
     # What an effect would take of noise alone is no hint of it.
     nearest = _nearest(trace) if beyond or by_form else ""
     turning = _only_at_turns(trace)
@@ -194,6 +195,16 @@ def _worth(trace: ForceTrace, left: Array, form: Array) -> dict[str, float]:
         if share > options.least_free_gain and before - after > PERCENT * options.least_force:
             found[name] = float(share)
     return found
+
+
+def _beyond_noise(trace: ForceTrace, after: PooledError) -> dict[str, float]:
+    """Return, by DOF, the share of the squared missing force beyond the noise of the outputs, where
+    it matters.
+
+    The noise may be `much_left` times what it is estimated to be. It is taken for white, and that
+    of a coarse encoder in slow motion, whose readings stay and jump, has more at low frequencies.
+    """
+    return _worth(trace, after.force_percent, trace.options.much_left * after.noise_percent)
 
 
 def _only_at_turns(trace: ForceTrace) -> tuple[str, ...]:
@@ -427,7 +438,7 @@ def _left_unseen(trace: ForceTrace, before: PooledError, after: PooledError) -> 
     taken = before.force_percent**2 - after.force_percent**2
     most = int(np.argmax(taken))
     name = trace.places.dof[most]
-    beyond = _worth(trace, after.force_percent, after.noise_percent)
+    beyond = _beyond_noise(trace, after)
     if name not in beyond or name in _only_at_turns(trace):
         return 0.0
     left = after.force_percent[most] ** 2 - after.noise_percent[most] ** 2
@@ -458,7 +469,7 @@ def _confirmed_by_force(trace: ForceTrace, before: PooledError, after: PooledErr
     """
     room, squares = 1.0 - trace.options.least_free_gain, after.force_percent**2
     as_any = bool(np.all(room * squares <= (PERCENT * trace.rows.any_law) ** 2))
-    beyond = _worth(trace, after.force_percent, after.noise_percent)
+    beyond = _beyond_noise(trace, after)
     little = trace.options.least_gain**2 * np.sum(before.force_percent**2)
     return bool((as_any and not beyond) or squares.sum() <= little)
 

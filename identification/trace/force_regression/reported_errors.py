@@ -64,13 +64,19 @@ def output_noise(records: Sequence[TraceRecord]) -> Array:
         e = record.experiment
         n = e.y.shape[1]
         own = np.full(n, np.nan) if e.noise_sd is None else e.noise_sd
-        step = np.full(n, np.nan) if e.resolution is None else e.resolution
+        step_stated = np.full(n, np.nan) if e.resolution is None else e.resolution
         seen = np.array([_step(column) for column in e.y.T])
-        step = np.where(np.isfinite(step), step, np.where(np.isfinite(own), 0.0, seen))
+        step = np.where(
+            np.isfinite(step_stated), step_stated, np.where(np.isfinite(own), 0.0, seen)
+        )
         sd = np.where(np.isfinite(own), np.hypot(own, ROUNDED_SD * step), white_noise(e.y))
-        found.append(np.maximum(sd, ROUNDED_SD * step))
+        # An axis that rests all the time says nothing of its noise.
+        rests = (np.ptp(e.y, axis=0) == 0.0) & np.isnan(own) & np.isnan(step_stated)
+        found.append(np.where(rests, np.nan, np.maximum(sd, ROUNDED_SD * step)))
     spread = np.max([r.experiment.y.std(axis=0) for r in records], axis=0)
-    return np.asarray(np.maximum(np.median(found, axis=0), SINGLE_ROUNDING * spread))
+    moves = np.any(np.isfinite(found), axis=0)
+    sd = np.nanmedian(np.where(moves, found, 0.0), axis=0)
+    return np.asarray(np.maximum(sd, SINGLE_ROUNDING * spread))
 
 
 def _step(values: Array) -> float:

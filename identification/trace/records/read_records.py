@@ -14,7 +14,7 @@ from ....config.model import ModelConfig
 from ....log.reader import read_log
 from ...records.duplicate_logs import DuplicateCheck
 from ...records.record import IdentificationError, NotARecordError
-from .record_from_log import SHORTEST_S, TraceRecord, trace_record
+from .record_from_log import IMPORTED, SHORTEST_S, TraceRecord, trace_record
 
 
 def read_records(
@@ -92,8 +92,17 @@ def _require_long(record: TraceRecord, path: Path, shortest_s: float) -> None:
 
 
 def require_live(record: TraceRecord, path: Path) -> None:
-    """Raise NotARecordError for a record with a constant sensor reading."""
-    frozen = np.flatnonzero(np.ptp(record.gap, axis=0) == 0.0)
+    """Raise NotARecordError for a record with a constant sensor reading.
+
+    An axis of an imported record may rest while another one moves, if nothing pushes it: its
+    encoder says so with one reading.
+    """
+    constant = np.ptp(record.gap, axis=0) == 0.0
+    if record.kind == IMPORTED and not constant.all():
+        varies = np.ptp(record.experiment.u, axis=0) > 0.0
+        pushed = np.any(record.places.actuator_motion[varies] != 0.0, axis=0)
+        constant = constant & np.any(record.places.sensor_shape[:, pushed] != 0.0, axis=1)
+    frozen = np.flatnonzero(constant)
     if len(frozen):
         places = record.places
         names = places.dof if places.sensors == len(places.dof) else None

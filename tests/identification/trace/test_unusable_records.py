@@ -89,7 +89,7 @@ def test_frozen_sensor_of_nine_is_reported_by_its_number(tmp_path: Path) -> None
     gap[:, 5] = -2e-4
     places = replace(made.places, sensor_shape=rig_places().sensor_shape)
     with pytest.raises(IdentificationError, match=r"sensor:5 is frozen at -0.0002 m"):
-        require_live(replace(made, places=places, gap=gap), path)
+        require_live(replace(made, places=places, gap=gap, kind="coils"), path)
 
 
 def test_nan_is_reported_with_record_and_row(tmp_path: Path) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,10 +13,12 @@ from levid.benchmarks.trace.imported_plant_simulation import Acting, Kind, Linea
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.records.record import IdentificationError
+from levid.identification.records.record import IdentificationError, NotARecordError
 from levid.identification.trace.force_regression.force_trace_summary import force_summary
+from levid.identification.trace.force_regression.reported_errors import output_noise
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
-from levid.identification.trace.records.record_from_log import imported_trace_record
+from levid.identification.trace.records.read_records import require_live
+from levid.identification.trace.records.record_from_log import TraceRecord, imported_trace_record
 from levid.model.effects.candidate_effects import all_effects
 
 STAGE = """
@@ -39,8 +44,8 @@ TRUTH = np.array([*MASSES, *DAMPERS, *SPRINGS])
 TS, ROWS = 0.005, 8000
 
 
-def traced(*excited: int) -> ForceTrace:
-    """Trace records of the stage with a friction of x, each with one axis excited."""
+def recorded(*excited: int) -> list[TraceRecord]:
+    """Return records of the stage with a friction of x, each with one axis excited."""
     none = np.zeros((2, 2))
     plant = Linear(
         np.diag(MASSES), np.diag(DAMPERS), np.diag(SPRINGS), np.eye(2), none, none,
@@ -56,7 +61,12 @@ def traced(*excited: int) -> ForceTrace:
         name = f"{number}-{'xy'[axis]}"
         record = Experiment(name, TS, moved.u, moved.y, {}, frozenset(), False)
         records.append(imported_trace_record(record, config))
-    return trace_records(records, config, all_effects, lambda *_: None)
+    return records
+
+
+def traced(*excited: int) -> ForceTrace:
+    config = parse_text(STAGE, ModelConfig, "stage")
+    return trace_records(recorded(*excited), config, all_effects, lambda *_: None)
 
 
 def test_axes_that_are_excited_one_at_a_time_are_traced() -> None:
@@ -78,3 +88,25 @@ def test_axes_that_are_excited_one_at_a_time_are_traced() -> None:
 def test_axis_that_is_excited_in_no_record_is_named() -> None:
     with pytest.raises(IdentificationError, match="found y within the noise in every record"):
         traced(0)
+
+
+def stays(record: TraceRecord, axis: int) -> TraceRecord:
+    """Return a record in which the encoder of an axis stays at 1 mm."""
+    y = record.experiment.y.copy()
+    y[:, axis] = 1e-3
+    return replace(record, experiment=replace(record.experiment, y=y), gap=y)
+
+
+def test_axis_that_nothing_pushes_may_stay_at_one_reading() -> None:
+    x, _ = recorded(0, 1)
+    require_live(stays(x, 1), Path("x.mcap"))
+    with pytest.raises(NotARecordError, match=r"left out: x is frozen at 0.001 m in every row"):
+        require_live(stays(x, 0), Path("x.mcap"))
+    with pytest.raises(NotARecordError, match="left out: x, y is frozen"):
+        require_live(stays(stays(x, 0), 1), Path("x.mcap"))
+
+
+def test_noise_of_an_axis_is_that_of_records_in_which_it_moves() -> None:
+    x, y = recorded(0, 1)
+    sd = output_noise([stays(x, 1), stays(x, 1), y])
+    np.testing.assert_allclose(sd[1], output_noise([y])[1])

@@ -77,6 +77,7 @@ class Certainty:
     rows: FittedRows
     between: FittedRows | None
     left_share: tuple[float, ...]
+    takes: tuple[bool, ...]
     leaning: tuple[float, ...]
     negative: Mapping[str, tuple[str, ...]]
 
@@ -124,7 +125,7 @@ class Certainty:
             between.append(FittedRows.of(found.point, part, own, noise, told))
         force = _rms([r.acting_force(found.point) for r in fitted])
         force_errors = relative_force_errors(point, fitted, uncertainty)
-        left_share = _left_share(found, training, rows.noise, options)
+        left_share, takes = _left_share(found, training, rows.noise, options)
         return cls(
             with_numbers(found, point),
             uncertainty.standard_errors(),
@@ -134,12 +135,13 @@ class Certainty:
             rows,
             between[0] if between else None,
             left_share,
+            takes,
             _leaning(found, training, rows.noise, options, left_share, force_errors),
             turned_negative(with_numbers(found, point), declared, training, uncertainty, options),
         )
 
     def says_nothing(self, options: SearchOptions) -> str | None:
-        """Return the effect, by identity, that leaves much of what it should take and may be zero.
+        """Return the effect, by identity, that may be zero, and takes nothing or leaves much.
 
         None if there is no such one. What leaves much is in doubt, and what may be zero as well was
         not found: another effect has taken its place, its fit has moved the model, or it stands for
@@ -149,10 +151,10 @@ class Certainty:
             p.effect.identity: own
             for p, own in zip(self.found.point.placed, self.force_errors, strict=True)
         }
-        for rated, left in zip(self.found.rated, self.left_share, strict=True):
+        for rated, left, takes in zip(self.found.rated, self.left_share, self.takes, strict=True):
             identity = rated.placed.effect.identity
-            much = left > options.least_gain
-            if not rated.free and much and not is_told(errors[identity], options):
+            idle = left > options.least_gain or not takes
+            if not rated.free and idle and not is_told(errors[identity], options):
                 return identity
         return None
 
@@ -259,9 +261,9 @@ def _with_another_member(found: Searched, training: Training) -> list[Array]:
 
 def _left_share(
     found: Searched, training: Training, noise: Array, options: SearchOptions
-) -> tuple[float, ...]:
+) -> tuple[tuple[float, ...], tuple[bool, ...]]:
     """Return for each effect the share of the squared missing force without it, the others fitted
-    again, that is left with it, at the DOF where it takes most.
+    again, that is left with it, at the DOF where it takes most, and whether it takes what matters.
 
     noise (n,): what that of the outputs gives, over the acting force; only what is beyond it
     counts, and only if an effect must take as much. A free form that leaves more tells nothing: it
@@ -274,7 +276,7 @@ def _left_share(
 
     after = missing(found.point)
     beyond = np.where(after - noise > options.least_force, after**2 - noise**2, 0.0)
-    shares = []
+    shares, takes = [], []
     for rated in found.rated:
         identity = rated.placed.effect.identity
         others = tuple(p for p in found.point.placed if p.effect.identity != identity)
@@ -283,7 +285,8 @@ def _left_share(
         most = int(np.argmax(taken))
         there = beyond[most] + max(float(taken[most]), 0.0)
         shares.append(float(beyond[most] / there) if there > 0.0 else 0.0)
-    return tuple(shares)
+        takes.append(bool(np.any(without - after > options.least_force)))
+    return tuple(shares), tuple(takes)
 
 
 def _leaning(
@@ -318,7 +321,7 @@ def _leaning(
             replace(found, rated=rated), fit_numbers(training, replace(found.point, placed=kept))
         )
         more = set()
-        for r, share in zip(rated, _left_share(sure, training, noise, options), strict=True):
+        for r, share in zip(rated, _left_share(sure, training, noise, options)[0], strict=True):
             if not r.free and share > options.least_gain:
                 leaning[r.placed.effect.identity] = share
                 more.add(r.placed.effect.identity)

@@ -452,6 +452,7 @@ def _against_rivals(
         rivals = list({e.identity: e for e in rivals}.values())
         rest = fit_numbers(training, bare)
         ranking = _with_present_numbers(rate(rest, rivals, training, options), own, rest, training)
+        ranking = _as_contradicted(ranking, own, options)
         first = next((r for r in ranking if confirmed(r, options)), None)
         if first is None:
             continue
@@ -476,6 +477,22 @@ def _with_present_numbers(
     best = min([now, *afresh], key=by_gain)
     others = [r for r in ranking if r.placed.effect != own.effect]
     return sorted([best, *others], key=by_gain)
+
+
+def _as_contradicted(ranking: Sequence[Rated], own: Placed, options: SearchOptions) -> list[Rated]:
+    """Return a ranking that does not ask of the rivals of a found effect what its own is not asked.
+
+    A record that contradicts it, beside the numbers that the model has without it, says nothing
+    against a rival that it contradicts no more.
+    """
+    mine = next(r for r in ranking if r.placed.effect == own.effect).gain.others
+    found = []
+    for r in ranking:
+        others = r.gain.others
+        as_much = (mine <= 0.0) & (others > mine - options.agreement)
+        asked = np.where(as_much & (r.placed.effect != own.effect), np.nan, others)
+        found.append(replace(r, gain=replace(r.gain, others=asked)))
+    return found
 
 
 def _by_law(rated: Mapping[str, Rated], point: ForceModel) -> dict[str, Rated]:

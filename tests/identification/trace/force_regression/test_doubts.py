@@ -227,11 +227,12 @@ def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -
     point = ForceModel(declared_model(config), free_parameters(config), placed)
     asked = []
 
-    def left(found: Searched, *_: Any) -> tuple[float, ...]:
+    def left(found: Searched, *_: Any) -> tuple[tuple[float, ...], tuple[bool, ...]]:
         """Without the mass the lag leaves much; the drag never does."""
         keys = [r.placed.effect.key for r in found.rated]
         asked.append(keys)
-        return tuple(0.75 if key == "actuator_lag" else 0.0 for key in keys)
+        shares = tuple(0.75 if key == "actuator_lag" else 0.0 for key in keys)
+        return shares, tuple(True for _ in keys)
 
     monkeypatch.setattr(certainty_of_effects, "_left_share", left)
     monkeypatch.setattr(certainty_of_effects, "fit_numbers", lambda _, at: at)
@@ -251,19 +252,35 @@ def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -
 
 
 @pytest.mark.parametrize(
-    ("left", "error", "gone"),
-    [(0.46, 0.5, True), (0.46, 0.2, False), (0.05, 0.5, False)],
+    ("left", "takes", "error", "gone"),
+    [
+        (0.46, True, 0.5, True),
+        (0.46, True, 0.2, False),
+        (0.05, True, 0.5, False),
+        (0.05, False, 0.5, True),
+        (0.05, False, 0.2, False),
+    ],
 )
-def test_what_leaves_much_and_may_be_zero_was_not_found(
-    left: float, error: float, gone: bool
+def test_what_may_be_zero_and_leaves_much_or_takes_nothing_was_not_found(
+    left: float, takes: bool, error: float, gone: bool
 ) -> None:
-    """Each of both alone is a doubt: a right law can be small, or have another one beside it."""
+    """Each alone is a doubt: a right law can be small, or have another one beside it."""
     rated = law_of("actuator_lag").rated
     found = Searched(SimpleNamespace(placed=(rated.placed,)), (rated,), (), ())  # type: ignore[arg-type]
     nothing = np.zeros(0)
     rows = FittedRows(nothing, nothing, nothing)
     told = certainty_of_effects.Certainty(
-        found, nothing, nothing, [np.array([error])], nothing, rows, None, (left,), (0.0,), {}
+        found,
+        nothing,
+        nothing,
+        [np.array([error])],
+        nothing,
+        rows,
+        None,
+        (left,),
+        (takes,),
+        (0.0,),
+        {},
     )
     expected = rated.placed.effect.identity if gone else None
     assert told.says_nothing(SearchOptions()) == expected

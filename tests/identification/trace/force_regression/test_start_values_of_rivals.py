@@ -1,11 +1,16 @@
-"""Test from which numbers a law is fitted that would take the place of a found one."""
+"""Test how a law is fitted and judged that would take the place of a found one."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
-from levid.identification.trace.force_regression.rated_candidate import _starts
+from levid.identification.trace.force_regression.held_out_gain import Gain
+from levid.identification.trace.force_regression.rated_candidate import Rated, _starts
+from levid.identification.trace.force_regression.search import _as_contradicted
 from levid.identification.trace.records.record_from_log import imported_places
+from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Effect, Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
@@ -37,6 +42,19 @@ def test_lugre_friction_begins_at_the_numbers_of_the_dahl_friction_that_it_conta
     names = [q.name for q in lugre.shape]
     assert names[0] == "x_s"
     assert starts[len(lugre.grid) :] == [(4e-5, *shape[1:]) for shape in lugre.grid]
+
+
+def test_a_record_that_contradicts_a_found_law_says_nothing_against_its_rival() -> None:
+    """Cubic springs and gravity are one force in small swings, which both a record contradicts."""
+
+    def rated(key: str, *others: float) -> Rated:
+        gain = Gain(np.ones(2), np.ones(2), 0.5, np.ones(2), np.array(others))
+        return Rated(Placed(law(key), (), (1.0,)), gain, 0.1)
+
+    own = rated("stiffness.cubic", 2e5, -10.10)
+    as_much, more = rated("stiffness.quadratic", 2e5, -10.15), rated("damping.quadratic", 9.0, -50.0)
+    judged = _as_contradicted([own, as_much, more], own.placed, SearchOptions())
+    assert [r.gain.elsewhere for r in judged] == [False, True, False]
 
 
 def test_a_law_without_a_number_in_common_begins_at_its_own_values() -> None:

@@ -394,6 +394,8 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
     displaced = tuple(name for name, _, limit in at_limits(trace.found.point) if limit)
     if np.isinf(floors) and _confirmed_by_force(trace, *pooled):
         floors = float("nan")
+    count = len(trace.found.rated)
+    crowded = count if count >= trace.options.most_effects else 0
     for rated, left, leaning in zip(
         trace.found.rated, trace.left_share, trace.leaning, strict=True
     ):
@@ -424,6 +426,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 displaced,
                 trace.negative.get(rated.placed.effect.identity, ()),
                 "" if trace.exchange is None else trace.exchange.words,
+                crowded,
             )
         )
     return tuple(laws)

@@ -36,7 +36,7 @@ class FoundLaw:
     effects, so that one of these may do what the parameter did; of zero, which a damping may be, it
     says nothing. negative: what of the model is negative with it only.
     exchanged: with which columns exchanged the model explains as much without effects; empty if
-    there are none.
+    there are none. crowded: how many effects were found if the search looks for no more, else 0.
     """
 
     rated: Rated
@@ -58,6 +58,7 @@ class FoundLaw:
     displaced: tuple[str, ...]
     negative: tuple[str, ...]
     exchanged: str
+    crowded: int
 
     @property
     def doubtful(self) -> bool:
@@ -99,6 +100,8 @@ class FoundLaw:
             f"{' and '.join(self.displaced)} ended at the limit of its range beside it": bool(
                 self.displaced
             ),
+            f"the search ended with {self.crowded} effects, the most that it looks for: several may "
+            "stand for one that the table lacks": self.crowded > 0,
             f"without any effect the model explains as much if {self.exchanged}": bool(
                 self.exchanged
             ),

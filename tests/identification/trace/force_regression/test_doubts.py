@@ -62,6 +62,7 @@ def found(
         displaced,
         (),
         "",
+        0,
     )
 
 
@@ -214,6 +215,16 @@ def test_what_matters_at_turns_only_is_told_from_what_matters_everywhere() -> No
         assert force_trace_summary._only_at_turns(trace) == expected
     trace.rows = quiet  # what is missing in the reported rows is not at turns
     assert force_trace_summary._only_at_turns(trace) == ()
+
+
+def test_each_of_as_many_effects_as_are_looked_for_is_in_doubt() -> None:
+    """A belt whose stiffness goes with its carriage was an inertia, a force constant and four more."""
+    (doubt,) = replace(law_of("actuator_lag"), crowded=6).doubts
+    assert doubt.startswith("the search ended with 6 effects, the most that it looks for")
+    (doubt,) = replace(law_of("actuator_lag"), exchanged="a and b are exchanged").doubts
+    assert doubt == "without any effect the model explains as much if a and b are exchanged"
+    (doubt,) = replace(law_of("actuator_lag"), negative=("damping at q",)).doubts
+    assert doubt == "the damping at q is negative with it, and not without"
 
 
 def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -> None:

@@ -45,14 +45,15 @@ def test_lugre_friction_begins_at_the_numbers_of_the_dahl_friction_that_it_conta
 
 
 def test_a_record_that_contradicts_a_found_law_says_nothing_against_its_rival() -> None:
-    """Cubic springs and gravity are one force in small swings, which both a record contradicts."""
+    """Of two laws that are nearly one force, a record contradicted both."""
 
     def rated(key: str, *others: float) -> Rated:
         gain = Gain(np.ones(2), np.ones(2), 0.5, np.ones(2), np.array(others))
         return Rated(Placed(law(key), (), (1.0,)), gain, 0.1)
 
     own = rated("stiffness.cubic", 2e5, -10.10)
-    as_much, more = rated("stiffness.quadratic", 2e5, -10.15), rated("damping.quadratic", 9.0, -50.0)
+    as_much = rated("damping.quadratic", 2e5, -10.15)
+    more = rated("friction.coulomb", 9.0, -50.0)
     judged = _as_contradicted([own, as_much, more], own.placed, SearchOptions())
     assert [r.gain.elsewhere for r in judged] == [False, True, False]
 

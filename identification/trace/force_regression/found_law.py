@@ -100,8 +100,8 @@ class FoundLaw:
             f"{' and '.join(self.displaced)} ended at the limit of its range beside it": bool(
                 self.displaced
             ),
-            f"the search ended with {self.crowded} effects, the most that it looks for: several may "
-            "stand for one that the table lacks": self.crowded > 0,
+            f"the search ended with {self.crowded} effects, the most that it looks for: several "
+            "may stand for one that the table lacks": self.crowded > 0,
             f"without any effect the model explains as much if {self.exchanged}": bool(
                 self.exchanged
             ),

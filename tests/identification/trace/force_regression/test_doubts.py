@@ -218,7 +218,7 @@ def test_what_matters_at_turns_only_is_told_from_what_matters_everywhere() -> No
 
 
 def test_each_of_as_many_effects_as_are_looked_for_is_in_doubt() -> None:
-    """A belt whose stiffness goes with its carriage was an inertia, a force constant and four more."""
+    """A belt whose stiffness goes with its carriage was an inertia, a force constant and more."""
     (doubt,) = replace(law_of("actuator_lag"), crowded=6).doubts
     assert doubt.startswith("the search ended with 6 effects, the most that it looks for")
     (doubt,) = replace(law_of("actuator_lag"), exchanged="a and b are exchanged").doubts

@@ -123,6 +123,9 @@ class Form:
             return np.column_stack([np.ones(len(s)), alone]) if constant else alone
         driven = _read(signals, self.factor, acting) / self.unit
         whole = self._shapes(s, _PRODUCT_DEGREE)
+        if not self.curve and self.by != _ANGLE:
+            # Zero where the signal is zero: what the factor gives there is the model's own.
+            whole = whole - self._shapes(np.array([-self.middle / self.scale]), _PRODUCT_DEGREE)
         if _constant_is_new(self.factor):
             whole = np.column_stack([np.ones(len(s)), whole])
         return np.asarray(driven[:, None] * whole)

@@ -88,6 +88,16 @@ def test_functions_of_a_form_do_not_contain_a_constant(by: str):
     assert np.mean((1.0 - functions @ best) ** 2) > 1e-3
 
 
+def test_signal_times_a_function_is_nothing_where_the_other_signal_is_zero():
+    """Else it would be a stiffness there, and the model's own would be wrong: 1 % of one."""
+    form = freeform_effect(rig_places(), "unknown.psi[0.001]*theta[0.002]", ("psi",))
+    assert form is not None
+    s = moving()
+    s = replace(s, q=s.q * np.array([1.0, 0.0, 1.0]))
+    for term in form.build(s, ()):
+        np.testing.assert_allclose(acts(term), 0.0, atol=1e-15)
+
+
 def test_coil_form_can_represent_a_step_over_the_command():
     """For example, an amplifier with a second stage that has another offset."""
     s = moving()

@@ -15,9 +15,9 @@ from .candidate_fit import Beside, taken_at, told_share
 from .force_record import ForceModel, ForceRecord
 from .free_numbers import numbers
 from .gauss_newton_fit import fit_numbers
+from .impossible_matrices import impossible_matrices
 from .instrumental_variables import Unbiased
 from .intervals import Influences, Uncertainty, relative_force_errors
-from .negative_matrices import turned_negative
 from .noise_through_laws import noise_with_laws
 from .richest_free_form import foretold, residual_of_richest
 from .scale_of_equations import explained_by_any_form
@@ -79,7 +79,7 @@ class Certainty:
     left_share: tuple[float, ...]
     takes: tuple[bool, ...]
     leaning: tuple[float, ...]
-    negative: Mapping[str, tuple[str, ...]]
+    impossible: Mapping[str, tuple[str, ...]]
 
     @classmethod
     def of(
@@ -137,7 +137,9 @@ class Certainty:
             left_share,
             takes,
             _leaning(found, training, rows.noise, options, left_share, force_errors),
-            turned_negative(with_numbers(found, point), declared, training, uncertainty, options),
+            impossible_matrices(
+                with_numbers(found, point), declared, training, uncertainty, options
+            ),
         )
 
     def says_nothing(self, options: SearchOptions) -> str | None:

@@ -424,7 +424,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.options.agreement,
                 trace.options.alike,
                 displaced,
-                trace.negative.get(rated.placed.effect.identity, ()),
+                trace.impossible.get(rated.placed.effect.identity, ()),
                 "" if trace.exchange is None else trace.exchange.words,
                 crowded,
             )

@@ -34,7 +34,7 @@ class FoundLaw:
     on two numbers differ; agreement: deviations within which data agree; accuracy: relative error
     of a right law. displaced: parameters of the model that are at a limit of their range with the
     effects, so that one of these may do what the parameter did; of zero, which a damping may be, it
-    says nothing. negative: what of the model is negative with it only.
+    says nothing. impossible: what of the model cannot be with it.
     exchanged: with which columns exchanged the model explains as much without effects; empty if
     there are none. crowded: how many effects were found if the search looks for no more, else 0.
     """
@@ -56,7 +56,7 @@ class FoundLaw:
     agreement: float
     accuracy: float
     displaced: tuple[str, ...]
-    negative: tuple[str, ...]
+    impossible: tuple[str, ...]
     exchanged: str
     crowded: int
 
@@ -105,9 +105,7 @@ class FoundLaw:
             f"without any effect the model explains as much if {self.exchanged}": bool(
                 self.exchanged
             ),
-            f"the {' and the '.join(self.negative)} is negative with it, and not without": bool(
-                self.negative
-            ),
+            f"with it {' and '.join(self.impossible)}, and not without": bool(self.impossible),
             f"its depth would be 1, but is {self.depth:.2g}": self.partial,
         }
         return tuple(reason for reason, so in reasons.items() if so)

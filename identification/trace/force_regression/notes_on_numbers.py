@@ -8,12 +8,12 @@ from .force_record import ForceModel
 from .free_numbers import at_limits
 
 
-def notes_on_numbers(point: ForceModel, negative: Sequence[str]) -> tuple[str, ...]:
+def notes_on_numbers(point: ForceModel, impossible: Sequence[str]) -> tuple[str, ...]:
     """Return notes on the numbers of a fitted model.
 
-    negative: what of it is negative without any effect, as `negative_matrices` says.
+    impossible: what of it cannot be, without any effect, as `impossible_matrices` says.
     """
-    return (*_at_limits(point), *_held(point), *_negative(negative))
+    return (*_at_limits(point), *_held(point), *_impossible(impossible))
 
 
 def _at_limits(point: ForceModel) -> tuple[str, ...]:
@@ -26,14 +26,13 @@ def _at_limits(point: ForceModel) -> tuple[str, ...]:
     )
 
 
-def _negative(what: Sequence[str]) -> tuple[str, ...]:
-    """Return a note on what of a model without found effects is negative."""
+def _impossible(what: Sequence[str]) -> tuple[str, ...]:
+    """Return a note on what of a model without found effects cannot be."""
     if not what:
         return ()
-    verb = "is" if len(what) == 1 else "are"
     return (
-        f"the {' and the '.join(what)} {verb} negative, though declared positive: check the signs "
-        "of the columns; if they are right, the model lacks something",
+        f"{' and '.join(what)}, though declared positive: check the signs of the columns; if they "
+        "are right, the model lacks something",
     )
 
 

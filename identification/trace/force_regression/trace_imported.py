@@ -74,8 +74,8 @@ class ForceTrace:
     between: the same without the turns of DOF with friction, None without any. unseen (2, n): what
     linear terms and a form of the motion leave of blocks that did not fit them. left_share: for
     each effect found, the share of the squared missing force without it that is left with it,
-    beyond the noise of the outputs; leaning: the same without the effects in doubt. negative: what
-    of the model is negative with an effect only, by its identity, or without any. exchange: what
+    beyond the noise of the outputs; leaning: the same without the effects in doubt. impossible:
+    what of the model cannot be with an effect, by its identity, or without any. exchange: what
     columns have to be for a model without effects to explain as much. curves: free forms of a law's
     signal that surely improve on it, by the law's identity. noise_sd (n,): of each output;
     noise_stated: whether the signals files state it. fitted, reported: the records below the band's
@@ -96,7 +96,7 @@ class ForceTrace:
     unseen: Array
     left_share: tuple[float, ...]
     leaning: tuple[float, ...]
-    negative: Mapping[str, tuple[str, ...]]
+    impossible: Mapping[str, tuple[str, ...]]
     exchange: Exchange | None
     curves: Mapping[str, Rated]
     noise_sd: Array
@@ -227,10 +227,10 @@ def _traced(
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors,
         before, after, last.rows, last.between, PERCENT * last.unseen, last.left_share,
-        last.leaning, last.negative, exchange, curves, sd, stated, limit_hz, fitted, reported,
+        last.leaning, last.impossible, exchange, curves, sd, stated, limit_hz, fitted, reported,
         (
             *notes, *at_rest, *notes_on_held(found.point, held_for), *table.notes,
-            *notes_on_numbers(found.point, last.negative.get("", ())),
+            *notes_on_numbers(found.point, last.impossible.get("", ())),
         ), options,
     )  # fmt: skip
 

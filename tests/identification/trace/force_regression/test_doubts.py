@@ -223,8 +223,8 @@ def test_each_of_as_many_effects_as_are_looked_for_is_in_doubt() -> None:
     assert doubt.startswith("the search ended with 6 effects, the most that it looks for")
     (doubt,) = replace(law_of("actuator_lag"), exchanged="a and b are exchanged").doubts
     assert doubt == "without any effect the model explains as much if a and b are exchanged"
-    (doubt,) = replace(law_of("actuator_lag"), negative=("damping at q",)).doubts
-    assert doubt == "the damping at q is negative with it, and not without"
+    (doubt,) = replace(law_of("actuator_lag"), impossible=("the damping at q is negative",)).doubts
+    assert doubt == "with it the damping at q is negative, and not without"
 
 
 def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -> None:

@@ -1,4 +1,4 @@
-"""Test the doubt of a law beside which the model's damping would be negative."""
+"""Test the doubt of a law beside which the model's damping or inertia cannot be."""
 
 from __future__ import annotations
 
@@ -52,4 +52,4 @@ def test_a_law_that_needs_a_negative_damper_is_in_doubt() -> None:
     (law,) = force_outcome(found).laws
     assert law.placed.effect.effect_class == "flexible_mode"
     assert found.found.point.model.values["d"] < -50.0
-    assert law.doubts == ("the damping at h is negative with it, and not without",)
+    assert law.doubts == ("with it the damping at h is negative, and not without",)

@@ -1,9 +1,10 @@
-"""Find effects beside which inertia or damping of the model became negative: neither can be.
+"""Find effects beside which the model's inertia or damping became what neither can be.
 
 Several mechanisms have the same transfer function. That of a load on a soft shaft beside a damping
 of minus 100 N s/m is that of a passive force with a memory, which no law of the table is: what a
-fit needs a negative damper for is not what its name says. A stiffness may be negative, as that of a
-magnet is, and so may a damping that a model file declares so.
+fit needs a negative damper for is not what its name says. Nor is what takes the place of an
+inertia, as a coupling does that makes one equation of motion another one. A stiffness may be
+negative, as that of a magnet is, and so may a damping that a model file declares so.
 """
 
 from __future__ import annotations
@@ -29,37 +30,44 @@ _MOVING = {"M": ("inertia", 2), "D": ("damping", 1)}
 """In words, and the derivative of the position that each matrix multiplies."""
 
 
-def turned_negative(
+def impossible_matrices(
     found: Searched,
     declared: Mapping[str, float],
     training: Training,
     uncertainty: Uncertainty,
     options: SearchOptions,
 ) -> dict[str, tuple[str, ...]]:
-    """Return for each effect, by identity, what is negative with it only: "damping at x"; under the
-    name "" what is negative of a model without any.
+    """Return for each effect, by identity, what cannot be with it, and could without: "the damping
+    at x is negative"; under the name "" what cannot be of a model without any.
 
     declared: values of the parameters in the model file. uncertainty: of the numbers of the found
     point.
     """
     point, negative = found.point, dict[_Matrix, str]()
-    for matrix in [] if point.model.scheduling else [_Matrix.of(n, training) for n in _MOVING]:
+    matrices = [] if point.model.scheduling else [_Matrix.of(n, training) for n in _MOVING]
+    for matrix in matrices:
         least, along = matrix.smallest(point.model)
         was, _ = matrix.smallest(point.model.with_values(declared))
         dof = matrix.where(point, least * along, training, options)
         error = matrix.standard_error(point, along, uncertainty)
         if dof and was >= 0.0 > least + options.standard_errors * error:
-            negative[matrix] = f"{_MOVING[matrix.name][0]} at {', '.join(dof)}"
+            negative[matrix] = f"the {_MOVING[matrix.name][0]} at {', '.join(dof)} is negative"
     if not found.rated:
         return {"": tuple(negative.values())}
+    inertia = next((m for m in matrices if m.name == "M"), None)
+    vague = inertia is not None and not inertia.is_told(point, uncertainty, options)
     caused = dict[str, tuple[str, ...]]()
-    for rated in found.rated if negative else ():
+    for rated in found.rated if negative or vague else ():
         identity = rated.placed.effect.identity
         others = tuple(p for p in point.placed if p.effect.identity != identity)
-        without = fit_numbers(training, replace(point, placed=others)).model
-        caused[identity] = tuple(
-            words for matrix, words in negative.items() if matrix.smallest(without)[0] >= 0.0
-        )
+        without = fit_numbers(training, replace(point, placed=others))
+        reasons = [
+            words for matrix, words in negative.items() if matrix.smallest(without.model)[0] >= 0.0
+        ]
+        if vague and inertia is not None:
+            told = inertia.is_told(without, Uncertainty.of(without, training, ()), options)
+            reasons += ["the inertia is not told from zero"] if told else []
+        caused[identity] = tuple(reasons)
     return caused
 
 
@@ -94,6 +102,11 @@ class _Matrix:
         least = options.least_force * np.sqrt(np.mean(acting**2, axis=0))
         force = np.abs(scaled_force) / np.maximum(self.size, TINY)
         return [d for d, f, enough in zip(point.model.dof, force, least, strict=True) if f > enough]
+
+    def is_told(self, point: ForceModel, uncertainty: Uncertainty, options: SearchOptions) -> bool:
+        """Return whether its smallest eigenvalue is surely positive."""
+        least, along = self.smallest(point.model)
+        return least > options.standard_errors * self.standard_error(point, along, uncertainty)
 
     def standard_error(self, point: ForceModel, along: Array, uncertainty: Uncertainty) -> float:
         """Return the standard error of its eigenvalue with the vector `along` (n,)."""

@@ -1,7 +1,8 @@
 """Nonlinearity of an actuator: squared, cubic, root, asymmetric, with speed, quantised, hysteresis.
 
 A valve, a propeller or a fan gives a force proportional to the square of its command, with its sign
-(Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2011, ch. 9); an actuator of
+(Fossen, *Handbook of Marine Craft Hydrodynamics and Motion Control*, 2011, ch. 9), alone or beside
+a linear part; an actuator of
 one direction has a square without a sign; the flow through a valve is as the root of the pressure
 that drives it, and a cylinder with one rod has another gain in each direction (Merritt, *Hydraulic
 Control Systems*, 1967). The force of a motor at its voltage limit and of a pump falls with the
@@ -51,6 +52,7 @@ _HALVES, _HALF_BOUNDS = (0.03, 0.1), (1e-3, 0.15)
 """Start values and bounds of the smallest half width, over the command's standard deviation. The
 widest play moves then for a sixth of the time: one that never moves is a gain."""
 _KEY = re.compile(r"actuator\.quadratic(?:\[([-+]?\d+\.?\d*(?:e[-+]?\d+)?)\])?")
+_SQUARE_KEY = re.compile(r"actuator\.square\[(\d+\.?\d*(?:e[-+]?\d+)?)\]")
 _LINEAR = "the part linear around the mean command: gain; the mean: constant force"
 
 
@@ -61,6 +63,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     found = []
     if places.coils > 1 and places.one_command_unit:
         found.append(_static(places, range(places.coils), "squared", 0.0))
+        found.append(_square(places, range(places.coils), extent.command_spread(0)))
     for c in range(places.coils):
         where, unit = (places.actuator(c),), places.command_unit(c)
         largest = extent.largest_command((c,))
@@ -70,6 +73,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             _static(places, (c,), "cubic", 0.0),
             _static(places, (c,), "root", 0.0),
             _static(places, (c,), "asymmetric", 0.0),
+            _square(places, (c,), extent.command_spread(c)),
         ]
         found.append(
             Effect(
@@ -126,12 +130,38 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
 
 
 def quadratic_actuator(places: Places, key: str, where: Sequence[str]) -> Effect | None:
-    """Return the quadratic nonlinearity with a model file's key and location; None for others."""
-    found = _KEY.fullmatch(key)
-    if found is None or places.beam or len(where) != 1 or where[0] not in places.actuators:
+    """Return the law with a number in its key, of a model file's key and location; None for other
+    keys: the quadratic nonlinearity, and the force that is the square of its command."""
+    quadratic, square = _KEY.fullmatch(key), _SQUARE_KEY.fullmatch(key)
+    if places.beam or not set(where).issubset(places.actuators):
         return None
-    coil = places.actuators.index(where[0])
-    return _static(places, (coil,), "quadratic", float(found[1] or 0.0))
+    coils = [places.actuators.index(name) for name in where]
+    if quadratic is not None and len(coils) == 1:
+        return _static(places, coils, "quadratic", float(quadratic[1] or 0.0))
+    if square is not None and len(coils) in (1, places.coils) and float(square[1]) > 0.0:
+        return _square(places, coils, float(square[1]))
+    return None
+
+
+def _square(places: Places, coils: Sequence[int], at: float) -> Effect:
+    """Return the square of the command in its place, at one actuator, or at all.
+
+    Where its command is `at`, the force is that of the declared gain, whose meaning it keeps so.
+    """
+    at = float(f"{at:.2g}")
+    return Effect(
+        f"actuator.square[{at:g}]",
+        "Actuator whose force is the square of its command"
+        + (places.worded(SAME_FOR_ALL) if len(coils) > 1 else ""),
+        "actuator_nonlinearity",
+        tuple(places.actuator(c) for c in coils),
+        f"force = F + depth (F |F| / F_s - F), F_s = {at:g}",
+        (Quantity("depth", "1", 0.0, 1.0),),
+        partial(_squares, coils=coils, at=at),
+        absorbed_by="around a constant command: gain",
+        told_apart_by=_TWO_AMPLITUDES,
+        whole=True,
+    )
 
 
 def _static(places: Places, coils: Sequence[int], name: str, at: float) -> Effect:
@@ -175,6 +205,13 @@ def _power(
         return laws.get(name, F**3)
 
     return [total([on_coil(signals, c, law(signals.coil[:, c] - at)) for c in coils])]
+
+
+def _squares(
+    signals: Signals, _shape: Sequence[float], *, coils: Sequence[int], at: float
+) -> list[Term]:
+    F = signals.coil
+    return [total([on_coil(signals, c, F[:, c] * (np.abs(F[:, c]) / at - 1.0)) for c in coils])]
 
 
 def _times_speed(signals: Signals, _shape: Sequence[float], *, coil: int) -> list[Term]:

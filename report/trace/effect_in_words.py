@@ -210,6 +210,7 @@ _CLAUSES = {
     "actuator.quadratic_after_lag": (
         "a part of the force of {at} is the square of what its lag leaves"
     ),
+    "actuator.square": "the force of {at} is the square of its command",
     "actuator.squared": "a part of the force of {at} is the square of its command",
     "actuator.quadratic": "a part of the force of {at} is the square of its command",
     "actuator.root": "a part of the force of {at} is as the root of its command",

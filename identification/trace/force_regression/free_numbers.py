@@ -38,6 +38,8 @@ def by_value(placed: Placed, of_numbers: Array, held: float) -> Array:
     held: the same of a value that is not free.
     """
     free = placed.freedom
+    if not free.size:  # all values are held
+        return np.full(len(free), held)
     return np.asarray(np.where(free.any(axis=1), of_numbers[np.argmax(free, axis=1)], held))
 
 

@@ -278,14 +278,23 @@ def _ranking(
     state: _State, table: Sequence[Effect], training: Training, options: SearchOptions
 ) -> list[Rated]:
     point = state.point
-    fresh = [e for e in table if e.identity not in state.dropped]
-    if any(p.effect.linear for p in point.placed):
-        fresh = without_scales(point, fresh, training, options.told_from_model)
+    fresh = _telling(
+        point, [e for e in table if e.identity not in state.dropped], training, options
+    )
     ranking = rate(point, _new(fresh, point), training, options)
     for p in point.placed:
         instead = [e for e in _asked(fresh, point) if e != p.effect and _exclude(e, p.effect)]
         ranking += rate(point, instead, training, options, p)
     return sorted(ranking, key=by_gain)
+
+
+def _telling(
+    point: ForceModel, table: Sequence[Effect], training: Training, options: SearchOptions
+) -> list[Effect]:
+    """Return the effects of a table beside which the scale of each equation stays told."""
+    if not any(p.effect.linear for p in point.placed):
+        return list(table)
+    return without_scales(point, table, training, options.told_from_model)
 
 
 def _with_best(
@@ -448,9 +457,9 @@ def _against_rivals(
         contenders += [e for e in named if (e.beside, e.where) in known]
         if at_place:
             contenders += [e for e in _asked(named, bare) if e.where == own.effect.where]
-        rivals = [own.effect, *(e for e in _new(contenders, bare) if not same_law(e, own.effect))]
-        rivals = list({e.identity: e for e in rivals}.values())
         rest = fit_numbers(training, bare)
+        others = {e.identity: e for e in _new(contenders, bare) if not same_law(e, own.effect)}
+        rivals = [own.effect, *_telling(rest, list(others.values()), training, options)]
         ranking = _with_present_numbers(rate(rest, rivals, training, options), own, rest, training)
         ranking = _as_contradicted(ranking, own, options)
         first = next((r for r in ranking if confirmed(r, options)), None)
@@ -460,9 +469,9 @@ def _against_rivals(
             # From far, a line does not foretell it; but here it was confirmed.
             ranking = [replace(rated, placed=own, instead_of=None), *ranking]
         best, point = fitted_rivals(rest, first, ranking, training, options, named)[0]
-        others = {k: r for k, r in state.rated.items() if k != identity}
-        others[best.placed.effect.identity] = best
-        state = replace(state, point=point, rated=_by_law(others, point))
+        now = {k: r for k, r in state.rated.items() if k != identity}
+        now[best.placed.effect.identity] = best
+        state = replace(state, point=point, rated=_by_law(now, point))
     return state
 
 

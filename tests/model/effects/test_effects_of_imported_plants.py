@@ -68,6 +68,7 @@ KEYS = (
     "cogging.position.another",
     *(f"magnetic_force.{law}.{way}" for law in ("i2_y2", "i1_y4", "i2_y4", "differential")
       for way in ("opens", "closes")),
+    "actuator.square",
     "actuator.squared",
     "actuator.quadratic",
     "actuator.cubic",
@@ -362,6 +363,9 @@ LAWS: dict[str, Law] = {
     },
     "magnetic_force.differential.opens": two_magnets(1.0),
     "magnetic_force.differential.closes": two_magnets(-1.0),
+    "actuator.square": lambda q, v, F, depth: (
+        depth * (F * np.abs(F) / mean_command("actuator.square") - F)
+    ),
     "actuator.squared": lambda q, v, F, a: a * np.sign(F) * F**2,
     "actuator.quadratic": lambda q, v, F, a: a * (F - mean_command("actuator.quadratic")) ** 2,
     "actuator.cubic": lambda q, v, F, a: a * F**3,

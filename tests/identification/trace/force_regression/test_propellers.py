@@ -86,3 +86,30 @@ def test_square_after_the_lag_is_named(declared: bool) -> None:
     # Beside a slope that is free, the product is told by the curvature, a seventh of the force: an
     # equation that is right to 0.5 % of the force (`SearchOptions.least_force`) gives it to 4 %.
     assert values["b"] * values["a"] == pytest.approx(THRUST, rel=0.04)
+
+
+def test_thrust_that_is_nothing_but_a_square_is_named() -> None:
+    """With a declared gain, a square beside the command could not lose the command's own part."""
+    text = MODEL.replace("  lag:", "  # lag:").replace(
+        "b: {value: 0.9,", "b: {value: 1, fixed: true,"
+    )
+    config, records = parse_text(text, ModelConfig, "beam"), []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        u, y, q, v, h = 0.6 * _low_pass(rng), np.empty(ROWS), 0.0, 0.0, TS / STEPS
+        for row in range(ROWS):
+            y[row] = q
+            for _ in range(STEPS):
+                a = (THRUST * u[row] * abs(u[row]) - DAMPER * v - SPRING * q) / 0.05
+                v += h * a
+                q += h * v
+        y += 1e-3 * y.std() * rng.standard_normal(ROWS)
+        made = Experiment("made", TS, u[:, None], y[:, None], {}, frozenset(), False, 0, None)
+        records.append(imported_trace_record(made, config))
+    found = trace_records(records, config, all_effects, lambda *_: None).found
+    square, gain = found.point.placed
+    assert square.effect.key == "actuator.square[0.6]"
+    assert (square.amplitudes, square.plain) == ((1.0,), True)
+    # Of the declared gain where the command is 0.6, from which this one is 0.4 away.
+    assert gain.effect.key == "coil_gain"
+    assert (1.0 + gain.amplitudes[0]) / 0.6 == pytest.approx(THRUST, rel=0.01)

@@ -256,6 +256,7 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
         ),
     ),
     "actuator.hysteresis": ((0.2, 0.1, 0.05), (0.3,), lambda: after_plays(0.2, 0.1, 0.05, r=0.3)),
+    "actuator.square[1.7]": ((0.8,), (), lambda: lambda q, v, u: 0.8 * u * (abs(u) / 1.7 - 1.0)),
     "actuator.squared": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * abs(u)),
     "actuator.quadratic": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * u),
     "actuator.root": ((0.2,), (), lambda: lambda q, v, u: power(0.2, u, 0.5)),
@@ -270,6 +271,9 @@ CASES: dict[str, tuple[tuple[float, ...], tuple[float, ...], Callable[[], Added]
     "actuator.squared_after_lag": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * abs(u)),
     "actuator.quadratic_after_lag": ((0.1,), (), lambda: lambda q, v, u: 0.1 * u * u),
 }  # fmt: skip
+
+
+EXTENT = Extent((0.3,), (3.0,), 0.3, 5.0, 0.0)
 
 
 @cache
@@ -317,8 +321,7 @@ def relative_error(made: TraceRecord, *placed: Placed) -> float:
 @pytest.mark.parametrize("key", CASES)
 def test_free_run_with_an_effect_agrees_with_integration(key: str) -> None:
     amplitudes, shape, added = CASES[key]
-    extent = Extent((0.3,), (3.0,), 0.3, 5.0, 0.0)
-    (effect,) = (e for e in all_effects(PLACES, extent) if e.key == key)
+    (effect,) = (e for e in all_effects(PLACES, EXTENT) if e.key == key)
     made = record(added())
     without = relative_error(made)
     error = relative_error(made, Placed(effect, shape, amplitudes))
@@ -359,7 +362,7 @@ CHAINS = {
 @pytest.mark.parametrize("name", CHAINS)
 def test_a_command_passes_the_parts_of_an_actuator_one_by_one(name: str) -> None:
     before, behind, parts = CHAINS[name]
-    table = {e.key: e for e in all_effects(PLACES, Extent((0.3,), (3.0,), 0.3, 5.0, 0.0))}
+    table = {e.key: e for e in all_effects(PLACES, EXTENT)}
     made = record(Chain(before, behind))
     placed = [Placed(table[key], shape, amplitudes) for key, amplitudes, shape in parts]
     assert relative_error(made) > 0.1
@@ -378,7 +381,7 @@ def test_a_command_passes_the_parts_of_an_actuator_one_by_one(name: str) -> None
 
 def test_every_effect_of_imported_plants_is_simulated() -> None:
     families = ("gravity.", "backlash.", "cogging.", "magnetic_force.", "actuator.")
-    listed = {e.key for e in all_effects(PLACES)}
+    listed = {e.key for e in all_effects(PLACES, EXTENT)}
     assert {k for k in listed if k.startswith(families) or "asymmetric" in k} - set(CASES) == {
         "stiffness.asymmetric"
     }

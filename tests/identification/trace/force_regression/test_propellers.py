@@ -107,7 +107,7 @@ def test_thrust_that_is_nothing_but_a_square_is_named() -> None:
         made = Experiment("made", TS, u[:, None], y[:, None], {}, frozenset(), False, 0, None)
         records.append(imported_trace_record(made, config))
     found = trace_records(records, config, all_effects, lambda *_: None).found
-    square, gain = found.point.placed
+    gain, square = sorted(found.point.placed, key=lambda p: p.effect.key, reverse=True)
     assert square.effect.key == "actuator.square[0.6]"
     assert (square.amplitudes, square.plain) == ((1.0,), True)
     # Of the declared gain where the command is 0.6, from which this one is 0.4 away.

@@ -79,9 +79,9 @@ def answer(clauses: Sequence[Clause], rest: str) -> str:
             other = f"{first} {clause.text}, or the cause is: {', or '.join(clause.others)}"
             sentences.append(_sentence(f"{other}; these records cannot tell which"))
         elif clause.free:
-            sentences.append(
-                _sentence(f"an unknown effect remains, described by a free form: {clause.text}")
-            )
+            unknown = "an unknown effect remains, described by a free form"
+            first = "perhaps " if clause.doubtful else ""
+            sentences.append(_sentence(f"{first}{unknown}: {clause.text}"))
         elif clause.doubtful:
             sentences.append(_sentence(f"perhaps {clause.text}"))
     return " ".join([*sentences, rest])
@@ -172,6 +172,15 @@ def _at_turns(result: ForceOutcome) -> list[str]:
     ]
 
 
+def _by_noise(result: ForceOutcome) -> str:
+    """Return a clause on noise of the outputs that may be what the model seems to lack."""
+    return (
+        "it may be noise of the outputs that is larger at low frequencies than at high ones: "
+        "fitted to the outputs themselves, the model without effects is within "
+        f"{result.outputs:.2g} % of them; state noise_sd in the signals file"
+    )
+
+
 def _rest_of_imported(result: ForceOutcome) -> str:
     """Return a sentence on the missing force, before and after."""
     less, more, same = list[str](), list[str](), list[str]()
@@ -185,6 +194,8 @@ def _rest_of_imported(result: ForceOutcome) -> str:
             changed = more if after > before else less
             changed.append(f"from {before:.3g} to {after:.3g} %{at}")
     clauses = (*result.lacks, *_described(result), *_beyond_noise(result), *_at_turns(result))
+    if np.isfinite(result.outputs) and (clauses or result.laws):
+        clauses = (*clauses, _by_noise(result))
     lacks = "".join(f" {_sentence(clause)}" for clause in clauses)
     if result.laws:
         whole = [np.linalg.norm(e.force_percent) for e in (result.before, result.after)]

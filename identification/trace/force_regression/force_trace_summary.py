@@ -20,6 +20,7 @@ from .certainty_of_effects import is_told
 from .exchanged_columns import Exchange
 from .found_law import FoundLaw
 from .free_numbers import at_limits, by_value, numbers_of
+from .output_error_fit import as_close
 from .rated_candidate import Rated
 from .reported_errors import PooledError
 from .trace_imported import ForceTrace, pooled_errors
@@ -55,7 +56,9 @@ class ForceOutcome:
     at_turns: DOF with friction at which what matters is where they turn only; they count neither
     for beyond_noise nor for form_matters.
     nearest: what takes much of what is left, and was refused, as a clause; empty if nothing does.
-    exchange: what columns have to be for a model without effects to explain as much.
+    exchange: what columns have to be for a model without effects to explain as much. outputs: how
+    close to the outputs a model without effects is that is fitted to them, in per cent of these, if
+    it is as close as with the effects found, else nan.
     """
 
     laws: tuple[FoundLaw, ...]
@@ -74,6 +77,7 @@ class ForceOutcome:
     dof: tuple[str, ...]
     nearest: str
     exchange: Exchange | None
+    outputs: float
 
     @property
     def doubtful(self) -> bool:
@@ -92,7 +96,7 @@ class ForceOutcome:
         """The result in a sentence."""
         named = [law.name for law in self.laws if not (law.free or law.doubtful)]
         perhaps = [law.name for law in self.laws if law.doubtful]
-        forms = [law.placed.effect.name for law in self.laws if law.free]
+        forms = [law.placed.effect.name for law in self.laws if law.free and not law.doubtful]
         parts = []
         if named:
             parts.append(f"found: {', '.join(named)}")
@@ -171,6 +175,7 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         trace.places.dof,
         nearest,
         trace.exchange,
+        _outputs(trace, after),
     )
 
 
@@ -308,6 +313,7 @@ def force_summary(trace: ForceTrace) -> dict[str, Any]:
                 "beyond_noise": found.beyond_noise,
                 "at_turns": list(found.at_turns),
                 "lacks_something": found.lacks_something,
+                "outputs_percent": found.outputs,
                 "exchanged": None if found.exchange is None else found.exchange.words,
                 "nearest": [
                     {
@@ -395,6 +401,7 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
     if np.isinf(floors) and _confirmed_by_force(trace, *pooled):
         floors = float("nan")
     count = len(trace.found.rated)
+    outputs = _outputs(trace, pooled[1])
     crowded = count if count >= trace.options.most_effects else 0
     for rated, left, leaning in zip(
         trace.found.rated, trace.left_share, trace.leaning, strict=True
@@ -427,9 +434,20 @@ def _laws(trace: ForceTrace) -> tuple[FoundLaw, ...]:
                 trace.impossible.get(rated.placed.effect.identity, ()),
                 "" if trace.exchange is None else trace.exchange.words,
                 crowded,
+                outputs,
             )
         )
     return tuple(laws)
+
+
+def _outputs(trace: ForceTrace, after: PooledError) -> float:
+    """Return how close a model without effects is to the outputs, in per cent, if it is as close as
+    the found one, else nan."""
+    fitted = trace.outputs
+    effects = len(trace.found.rated)
+    if fitted is None or not as_close(fitted, after, effects, trace.options):
+        return float("nan")
+    return float(fitted.percent.max())
 
 
 def _left_unseen(trace: ForceTrace, before: PooledError, after: PooledError) -> float:

@@ -37,6 +37,8 @@ class FoundLaw:
     says nothing. impossible: what of the model cannot be with it.
     exchanged: with which columns exchanged the model explains as much without effects; empty if
     there are none. crowded: how many effects were found if the search looks for no more, else 0.
+    outputs: how close to the outputs a model without effects is that is fitted to them, in per cent
+    of these, if it is as close as with the effects found, else nan.
     """
 
     rated: Rated
@@ -59,6 +61,7 @@ class FoundLaw:
     impossible: tuple[str, ...]
     exchanged: str
     crowded: int
+    outputs: float
 
     @property
     def doubtful(self) -> bool:
@@ -74,7 +77,7 @@ class FoundLaw:
         the edge of what it can be, where it stands for another one.
         """
         if self.free:
-            return ()
+            return (self._outputs,) if np.isfinite(self.outputs) else ()
         left = percent(self.left_share)
         pair = " and ".join(self.placed.effect.equal_numbers or ())
         more, farther = self.grew
@@ -102,6 +105,7 @@ class FoundLaw:
             ),
             f"the search ended with {self.crowded} effects, the most that it looks for: several "
             "may stand for one that the table lacks": self.crowded > 0,
+            self._outputs: bool(np.isfinite(self.outputs)),
             f"without any effect the model explains as much if {self.exchanged}": bool(
                 self.exchanged
             ),
@@ -116,6 +120,14 @@ class FoundLaw:
         if np.isinf(self.floors):
             return "with what was found the free run does not converge, and the force leaves room"
         return f"with what was found the free run is {self.floors:.2g} times the noise off"
+
+    @property
+    def _outputs(self) -> str:
+        """How close to the outputs a model without effects is."""
+        return (
+            f"fitted to the outputs themselves, the model without any effect is within "
+            f"{self.outputs:.2g} % of them, as close as with what was found"
+        )
 
     @property
     def _another_law(self) -> bool:

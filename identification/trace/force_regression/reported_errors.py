@@ -110,7 +110,7 @@ def reported_error(
     e = record.experiment.rows(begin, record.rows)
     error = floor = np.full(e.y.shape[1], np.nan)
     settled = True
-    if _runs_free(point, e):
+    if runs_free(point, e):
         error, settled = _simulated(point, record, begin, missing, seen)
         if stated is not None:
             floor = floor_rms(point.model, e, seen.band.hold, stated)
@@ -127,7 +127,7 @@ def reported_error(
     )
 
 
-def _runs_free(point: ForceModel, experiment: Experiment) -> bool:
+def runs_free(point: ForceModel, experiment: Experiment) -> bool:
     """Return whether a free run measures the model: it is stable, and slow enough for the rows.
 
     A stiff stage below its resonance has a mass near nothing if its record does not tell the mass.

@@ -42,6 +42,7 @@ from .instrumental_variables import Unbiased
 from .lines_in_missing_force import missing_lines
 from .noise_through_laws import noise_with_laws
 from .notes_on_numbers import notes_on_numbers
+from .output_error_fit import output_error
 from .outputs_at_rest import with_outputs_at_rest
 from .position_spectrum import position_periods
 from .rated_candidate import Rated
@@ -76,7 +77,9 @@ class ForceTrace:
     each effect found, the share of the squared missing force without it that is left with it,
     beyond the noise of the outputs; leaning: the same without the effects in doubt. impossible:
     what of the model cannot be with an effect, by its identity, or without any. exchange: what
-    columns have to be for a model without effects to explain as much. curves: free forms of a law's
+    columns have to be for a model without effects to explain as much. outputs: errors of a model
+    without effects that is fitted to the outputs, on the reported rows; None if their noise is
+    stated, or a free run tells nothing. curves: free forms of a law's
     signal that surely improve on it, by the law's identity. noise_sd (n,): of each output;
     noise_stated: whether the signals files state it. fitted, reported: the records below the band's
     limit `limit_hz`.
@@ -98,6 +101,7 @@ class ForceTrace:
     leaning: tuple[float, ...]
     impossible: Mapping[str, tuple[str, ...]]
     exchange: Exchange | None
+    outputs: PooledError | None
     curves: Mapping[str, Rated]
     noise_sd: Array
     noise_stated: bool
@@ -148,7 +152,7 @@ def _traced(
     notes: tuple[str, ...],
 ) -> ForceTrace:
     _require_rows(records, options)
-    records, hold = in_one_session(records), config.input
+    records, hold, model = in_one_session(records), config.input, declared_model(config)
     sd = output_noise(records)
     records, at_rest = with_outputs_at_rest(records, sd)
     limit_hz = min(
@@ -166,13 +170,12 @@ def _traced(
     noisy, more = [_noisier(r, sd, seed) for seed, r in enumerate(records)], np.sqrt(2.0) * sd
     places = records[0].places
     covered = _within_band(extent(train), limit_hz)
-    model = declared_model(config)
 
     progress("fitting the declared model", options.share_done(-1))
     placed = placed_effects(config.effects, places, covered)
     start = ForceModel(model, free_parameters(config), placed)
-    training, fit, held_for = unweighed(start, fitted, limit_hz, options)
-    training, declared = weighed(training, fit, (), options)
+    training, declared, held_for = unweighed(start, fitted, limit_hz, options)
+    training, declared = weighed(training, declared, (), options)
     covered = _with_lines(covered, declared, fitted, limit_hz)
     table = _lacking(effects, declared, training, covered, overlap(records), options)
     free = [e for e in table.free if e.where[0] in places.dof]
@@ -212,23 +215,22 @@ def _traced(
     while (empty := last.says_nothing(options)) is not None:
         last = judged(without_effect(last.found, empty, training), training)
     found = last.found
+    curves = curves_beside_laws(found.point, free, training, options)
     exchange = _exchange(
         start, declared, found.point, training, train, limit_hz, law_hz, sd, options
     )
-    curves = curves_beside_laws(found.point, free, training, options)
     progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
     if not found.rated:
         declared = found.point  # nothing was found: use its numbers
-    noisier = _counted_behind(begins, force_records(noisy, hold, limit_hz, law_hz, more))
-    before, after = (
-        _reported(point, records, begins, reported, noisier) for point in (declared, found.point)
-    )
+    below = reported, _counted_behind(begins, force_records(noisy, hold, limit_hz, law_hz, more))
+    before, after = (_reported(point, records, begins, *below) for point in (declared, found.point))
     stated = stated_noise([r.experiment for r in records]) is not None
+    outputs = None if stated else output_error(model.values, declared, train, records, reported)
     return ForceTrace(
         config, places, declared, found, last.errors, last.correlations, last.force_errors,
         before, after, last.rows, last.between, PERCENT * last.unseen, last.left_share,
-        last.leaning, last.impossible, exchange, curves, sd, stated, limit_hz, fitted, reported,
-        (
+        last.leaning, last.impossible, exchange, outputs, curves, sd, stated, limit_hz, fitted,
+        reported, (
             *notes, *at_rest, *notes_on_held(found.point, held_for), *table.notes,
             *notes_on_numbers(found.point, last.impossible.get("", ())),
         ), options,

@@ -37,6 +37,7 @@ def test_the_missing_force_of_each_dof_falls_stays_or_rises(
         lacks=(),
         form_matters={},
         at_turns=(),
+        outputs=np.nan,
         beyond_noise={},
     )
     assert _rest_of_imported(result) == f"The missing force {said}"  # type: ignore[arg-type]
@@ -51,6 +52,7 @@ def test_what_is_more_than_noise_is_said_where_no_form_describes_it() -> None:
         lacks=(),
         form_matters={},
         at_turns=(),
+        outputs=np.nan,
         beyond_noise={"a": 1.0},
     )
     assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
@@ -68,6 +70,7 @@ def test_what_a_free_form_describes_and_no_law_does_is_said() -> None:
         lacks=(),
         form_matters={"a": 0.99},
         at_turns=(),
+        outputs=np.nan,
     )
     assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
         "The model lacks something: in the fitted rows it leaves 85 % of the force, with a free "
@@ -85,6 +88,7 @@ def test_what_is_left_at_turns_is_no_other_law() -> None:
         form_matters={},
         beyond_noise={},
         at_turns=("a",),
+        outputs=np.nan,
     )
     said = _rest_of_imported(result)  # type: ignore[arg-type]
     assert said.endswith(

@@ -63,6 +63,7 @@ def found(
         (),
         "",
         0,
+        np.nan,
     )
 
 

@@ -55,9 +55,10 @@ def output_error(
     noise = Noise.independent(density, seen[0].noise_sd ** 2)
     as_declared = point.with_values(np.array([declared[name] for name in point.parameters.names]))
     experiments = [r.experiment for r in train]
-    if not all(runs_free(as_declared, e) for e in experiments):
+    stable = [p for p in (point, as_declared) if all(runs_free(p, e) for e in experiments)]
+    if not stable:
         return None
-    best = _closest((as_declared, point), experiments, hold, noise)
+    best = _closest(stable[0], experiments, hold, noise)
     none = np.zeros(len(seen[0].noise_sd))
     errors = [
         reported_error(best, whole, part.rows, (below, none), None)
@@ -83,30 +84,29 @@ def as_close(
 
 
 def _closest(
-    begins: Sequence[ForceModel], experiments: Sequence[Experiment], hold: Hold, noise: Noise
+    begin: ForceModel, experiments: Sequence[Experiment], hold: Hold, noise: Noise
 ) -> ForceModel:
-    """Return the model whose free runs are closest to the outputs, each over its spread, of fits
-    from several values. noise: from which the state at the begin of each run is estimated."""
-    first, free = begins[0], begins[0].parameters
+    """Return the model whose free runs are closest to the outputs, each over its spread.
+
+    begin: the model from whose values the fit starts. noise: from which the state at the begin of
+    each run is estimated.
+    """
+    free = begin.parameters
     spread = np.maximum(np.mean([e.y.std(axis=0) for e in experiments], axis=0), TINY)
 
     def errors(x: Array) -> Array:
-        point = first.with_values(x * free.scale)
+        point = begin.with_values(x * free.scale)
         return np.concatenate([_errors(point, e, hold, noise, spread) for e in experiments])
 
-    found = []
-    for begin in begins:
-        fit = least_squares(
-            errors,
-            np.clip(begin.values, free.low, free.high) / free.scale,
-            bounds=(free.low / free.scale, free.high / free.scale),
-            diff_step=np.full(len(free.names), DIFFERENCE),
-            max_nfev=SearchOptions.steps,
-            ftol=SearchOptions.accuracy**2,
-        )
-        found.append((float(fit.cost), fit.x))
-    _, best = min(found, key=lambda pair: pair[0])
-    return first.with_values(best * free.scale)
+    fit = least_squares(
+        errors,
+        np.clip(begin.values, free.low, free.high) / free.scale,
+        bounds=(free.low / free.scale, free.high / free.scale),
+        diff_step=np.full(len(free.names), DIFFERENCE),
+        max_nfev=SearchOptions.steps,
+        ftol=SearchOptions.accuracy**2,
+    )
+    return begin.with_values(fit.x * free.scale)
 
 
 def _errors(point: ForceModel, e: Experiment, hold: Hold, noise: Noise, spread: Array) -> Array:

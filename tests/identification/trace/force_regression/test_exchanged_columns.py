@@ -38,7 +38,7 @@ M: [[ma, 0], [0, mb]]
 D: [[da, 0], [0, db]]
 K: [[ka + kab, -kab], [-kab, kab]]
 """
-TS, ROWS = 0.01, 4000
+TS, ROWS = 0.01, 2000
 
 
 def traced(

@@ -138,7 +138,9 @@ def _grown(
         if pair is not None:
             state = pair
             continue
-        before, after = state, _with_best(state, nearest, named, training, options)
+        before, after = state, _with_narrow(state, nearest, named, training, options)
+        if after is None:
+            after = _with_best(state, nearest, named, training, options)
         if after is None:
             # What blocks confirm, and the fit of the whole model does not, is no candidate.
             others = [r for r in nearest if not confirmed(r, options)]
@@ -206,6 +208,32 @@ def _scattered(ranking: Sequence[Rated], options: SearchOptions) -> Rated | None
     if first is None or not first.gain.elsewhere or not matters(first, options):
         return None
     return first
+
+
+def _with_narrow(
+    state: _State,
+    ranking: Sequence[Rated],
+    named: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+) -> _State | None:
+    """Return the state with an effect that blocks do not confirm, but that leaves next to nothing
+    of what the best confirmed one leaves, if it is confirmed where the whole model fits with it.
+
+    A resonance with little damping is narrow: from the model's numbers without it a line does not
+    foretell what a block takes of it.
+    """
+    best = next((r for r in ranking if confirmed(r, options)), None)
+    if best is None:
+        return None
+    least = 1.0 - options.least_gain * (1.0 - best.share)
+    narrow = [r for r in ranking if r.share > least and not confirmed_here(r, options)]
+    first = max(narrow, key=lambda r: r.share, default=None)
+    if first is None or not (first.gain.elsewhere and matters(first, options)):
+        return None
+    kept = tuple(p for p in state.point.placed if p is not first.instead_of)
+    point = fit_numbers(training, replace(state.point, placed=(*kept, first.placed)))
+    return _confirmed_where_it_fits(state, point, first, named, training, options)
 
 
 def _confirmed_where_it_fits(

@@ -35,6 +35,7 @@ from levid.model.effects.candidate_effects import all_effects
         ("pendulum", "quintic", 897_002),
         ("pendulum", "foam", 897_002),
         ("pendulum", "cubic_damper", 897_002),
+        ("geared", "shaft", 992_001),  # narrow: a creeping spring is confirmed before it
         ("pendulum", "drift", 700_000),  # a law of heat with a long time constant is alike
     ],
 )

@@ -425,6 +425,10 @@ class Placed:
         """
         names, values = [q.name for q in self.quantities], list(self.values)
         if self.effect.whole:
+            reshape = self.effect.shape_of_unit_amplitude
+            shape = self.shape if reshape is None else reshape(self.amplitudes, self.shape)
+            bounds = zip(self.effect.shape, shape, strict=True)
+            values[len(self.amplitudes) :] = [min(max(v, q.low), q.high) for q, v in bounds]
             values[names.index("depth")] = 1.0
         elif self.effect.equal_numbers is not None:
             one, other = (names.index(name) for name in self.effect.equal_numbers)

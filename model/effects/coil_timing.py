@@ -119,7 +119,14 @@ def _of_second_order(places: Places, extent: Extent, coil: int) -> Effect:
         absorbed_by=places.worded(_LAGS),
         told_apart_by=places.worded(_ONE_BY_ONE),
         whole=True,
+        shape_of_unit_amplitude=None if places.beam else _whole_second_order,
     )
+
+
+def _whole_second_order(depth: Sequence[float], shape: Sequence[float]) -> tuple[float, ...]:
+    """Return frequency and damping of a lag of depth 1 that is as late, and bends as much."""
+    root = math.sqrt(depth[0]) if depth[0] > 0.0 else 1.0
+    return shape[0] / root, shape[1] * root
 
 
 def _lag(signals: Signals, shape: Sequence[float], *, coil: int) -> list[Term]:

@@ -25,7 +25,7 @@ K: [[1.0]]
 
 @pytest.mark.parametrize("depth", [0.4, 1.7])
 def test_second_order_lag_of_depth_one_is_as_late(depth: float) -> None:
-    """From the same frequency and damping, it was so much later or earlier that no fit came back."""
+    """At the same frequency and damping it was later or earlier by far, and no fit came back."""
     places = imported_places(parse_text(MODEL, ModelConfig, "axis"))
     table = all_effects(places, Extent((1.0,), (10.0,), 1.0, 1.0, 0.0, fastest_hz=50.0))
     (effect,) = (e for e in table if e.key == "actuator_lag.second_order")

@@ -55,7 +55,7 @@ def traced(
     )  # fmt: skip
     rubs = [Acting(Kind.COULOMB, 0, np.array([friction_n, 0.01]))] if friction_n else []
     config, records = parse_text(MASSES, ModelConfig, "masses"), []
-    for seed in range(2):
+    for seed in range(2 if friction_n else 1):
         rng = np.random.default_rng(seed)
         v = np.stack([6.0 * low_pass_noise(rng, ROWS, TS, 5.0) for _ in range(2)], axis=1)
         moved = simulated(plant, v, rng, *rubs)
@@ -66,7 +66,7 @@ def traced(
 
     def table(places: Places, extent: Extent) -> list[Effect]:
         every = all_effects(places, extent) if friction_n else []
-        return [e for e in every if e.effect_class == "friction"]
+        return [e for e in every if e.key == "friction.coulomb"]
 
     return trace_records(records, config, table, lambda *_: None)
 

@@ -283,8 +283,11 @@ def _with_another_choice(
 
     Effects are taken one by one, and what looks most like two of them together bars the way to
     both: of dry friction and an actuator whose force grows faster than its command it is a friction
-    that is elastic before it slips. It may have one effect more.
+    that is elastic before it slips. It may have one effect more. It may not miss more force: with
+    effects that together leave next to nothing of a command, weighed errors are rounding.
     """
+    plain = training.plain
+    missing = missing_share(plain.at(state.point))
     most = options.much_left**2 * training.expected
     others = [other for some in state.not_taken for other in some]
     if not training.cost(state.point) > most:
@@ -297,7 +300,8 @@ def _with_another_choice(
     for chosen in others[: options.detours]:
         begin = replace(chosen, point=fit_numbers(training, chosen.point))
         other, _ = _grown(begin, named, training, fewer, progress)
-        if training.cost(other.point) < most:
+        more = missing_share(plain.at(other.point)) - missing
+        if training.cost(other.point) < most and not np.any(more > options.least_force):
             return other
     return state
 

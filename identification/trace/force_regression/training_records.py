@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
-from ...rounding import DIFFERENCE, TINY
+from ...rounding import DIFFERENCE, ROUNDING, TINY
 from ..search_options import SearchOptions
 from .force_record import GROUPS, ForceModel, ForceRecord, Part, group_of
 from .free_numbers import Shape, numbers_of, shapes_beside
@@ -356,13 +356,20 @@ class Training:
     def cost(self, point: ForceModel) -> float:
         """Return the sum of squares of the missing force, and of the parameters' priors.
 
-        It is infinite for parameters whose mass matrix has no inverse: a bound may be 0 kg.
+        It is infinite for parameters whose mass matrix has no inverse: a bound may be 0 kg. So it
+        is where effects leave nothing of what sets the scale of an equation, as a dead zone that is
+        wider than all commands does: then nothing is missing with all parameters at zero.
         """
         rows = point.parameters.prior_rows(point.values)
         try:
-            squares = float(self.at(point).squares.sum())
+            at = self.at(point)
         except ModelError:
             return float("inf")
+        if point.placed and np.any(
+            at.power < ROUNDING**2 * self._power(self._setting(at.bare, at.bare))
+        ):
+            return float("inf")
+        squares = float(at.squares.sum())
         return squares + float(np.sum(rows[:, -1] ** 2))
 
     def _weighed(self, values: Iterable[Array]) -> list[Array]:

@@ -251,6 +251,8 @@ def _next(found: Trace, logs: Sequence[Path], out: Path) -> str:
     results = found.results
     if isinstance(results, RigTrace):
         return _next_of_rig(outcome(results), logs, out)
+    if results.exchange is not None:
+        return "compare the columns in the signals files with the wiring, import and trace again"
     return _identify_with(logs, out)
 
 

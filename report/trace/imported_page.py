@@ -68,6 +68,8 @@ def imported_report(trace: ForceTrace, out_dir: Path, command: str = "") -> Path
     ]
     names = (f"perhaps {law.name}" if law.doubtful else law.name for law in result.laws)
     title = ", ".join(names) or "no effect confirmed"
+    if result.exchange is not None:
+        title = f"it looks as if {result.exchange.words}"
     return write_report(out_dir, f"Trace of '{trace.config.name}': {title}", sections)
 
 
@@ -324,6 +326,9 @@ def _records(trace: ForceTrace) -> Table:
 
 def _steps(result: ForceOutcome, out_dir: Path) -> Sequence[tuple[str, str]]:
     model = shlex.quote(str(out_dir / "model.yaml"))
+    if result.exchange is not None:
+        again = "Compare the columns in the signals files with the wiring, import and trace again."
+        return [(again, "levid import TABLE --signals SIGNALS.yaml -o LOG.mcap")]
     steps = []
     for law in result.laws:
         if law.alternatives:

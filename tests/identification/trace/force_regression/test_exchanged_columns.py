@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from levid.model.effects.base import Effect, Places
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.operating_range import Extent
 from levid.report.trace.answer import imported_answer
+from levid.report.trace.imported_page import imported_report
 
 Array = np.ndarray
 
@@ -80,7 +82,7 @@ def traced(
     ],
 )
 def test_columns_that_are_exchanged_are_named(
-    connected: dict[str, Sequence[int]], words: str
+    connected: dict[str, Sequence[int]], words: str, tmp_path: Path
 ) -> None:
     found = traced(**connected)  # type: ignore[arg-type]
     assert found.exchange is not None
@@ -88,6 +90,9 @@ def test_columns_that_are_exchanged_are_named(
     assert np.all(found.exchange.after < 0.01)
     assert imported_answer(force_outcome(found)).startswith(f"It looks as if {words}: the model")
     assert force_outcome(found).lacks_something
+    page = imported_report(found, tmp_path).read_text(encoding="utf-8")
+    assert f"it looks as if {words}" in page
+    assert "Compare the columns in the signals files with the wiring" in page
 
 
 def test_records_as_declared_are_not_exchanged() -> None:

@@ -58,8 +58,8 @@ def explaining_exchange(
     the declared model fitted to records with noise (n,). declared, found (n,): the same of the
     records as they are, without and with the effects found.
     """
-    much = options.least_gain * float(declared.max()) ** 2
-    if not much > options.least_gain**2:
+    misses = float(declared.max()) ** 2
+    if misses <= options.least_gain:  # exchanged columns leave most of a force unexplained
         return None
     every = [
         Exchange(words, declared, missing(changed, sd[order]))
@@ -67,7 +67,9 @@ def explaining_exchange(
     ]
     best = min(every, key=lambda e: float(e.after.max()))
     left = float(best.after.max())
-    explains = left**2 < much and left - float(found.max()) < options.least_force
+    explains = (
+        left**2 < options.least_gain * misses and left - float(found.max()) < options.least_force
+    )
     return best if explains else None
 
 

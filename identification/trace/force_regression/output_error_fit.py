@@ -26,12 +26,9 @@ from ...value_with_interval import PERCENT
 from ..records.record_from_log import TraceRecord
 from ..search_options import SearchOptions
 from .force_record import ForceModel, ForceRecord
-from .reported_errors import PooledError, reported_error, runs_free
+from .reported_errors import DIVERGED, PooledError, noise_of_filter, reported_error, runs_free
 
 Array = NDArray[np.float64]
-
-_DIVERGED = 1.0 / SearchOptions.accuracy
-"""Error over the output's standard deviation that counts for a simulation that diverges."""
 
 
 def output_error(
@@ -51,8 +48,7 @@ def output_error(
         return None
     hold = seen[0].band.hold
     missing = np.mean([r.varying(r.missing_force(point)).var(axis=0) for r in seen], axis=0)
-    density = np.maximum(missing / (2.0 * seen[0].band.cutoff_hz), TINY)
-    noise = Noise.independent(density, seen[0].noise_sd ** 2)
+    noise = noise_of_filter(np.asarray(missing), seen[0])
     as_declared = point.with_values(np.array([declared[name] for name in point.parameters.names]))
     experiments = [r.experiment for r in train]
     stable = [p for p in (point, as_declared) if all(runs_free(p, e) for e in experiments)]
@@ -70,9 +66,11 @@ def output_error(
 def as_close(
     fitted: PooledError | None, found: PooledError, effects: int, options: SearchOptions
 ) -> bool:
-    """Return whether a model without effects, fitted to the outputs, is as close to them as one
-    with the effects found; if that one runs away, whether it is as close as an equation is right,
-    and without any effect, as a law that stands for another one.
+    """Return whether a model without effects, fitted to the outputs, comes as close to them as the
+    model that was found.
+
+    effects: how many that one has. If it has none, the outputs have to be met to 5 %
+    (`law_accuracy`); if its free run diverges, to 1 % (`accuracy`).
     """
     if fitted is None or not np.all(np.isfinite(fitted.error)):
         return False
@@ -110,7 +108,8 @@ def _closest(
 
 
 def _errors(point: ForceModel, e: Experiment, hold: Hold, noise: Noise, spread: Array) -> Array:
-    """Return the errors of a free run over the outputs' spread (rows x n,)."""
+    """Return the errors of a free run over the outputs' spread (n,), one row after the other
+    (rows * n,)."""
     rows = len(e.y)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -118,5 +117,5 @@ def _errors(point: ForceModel, e: Experiment, hold: Hold, noise: Noise, spread: 
         left = (e.y - run.y) / spread
         left[: run.counts_from] = 0.0
     except (IdentificationError, ModelError, np.linalg.LinAlgError):
-        left = np.full((rows, len(spread)), _DIVERGED)
-    return np.clip(np.nan_to_num(left, nan=_DIVERGED), -_DIVERGED, _DIVERGED).reshape(-1)
+        left = np.full((rows, len(spread)), DIVERGED)
+    return np.clip(np.nan_to_num(left, nan=DIVERGED), -DIVERGED, DIVERGED).reshape(-1)

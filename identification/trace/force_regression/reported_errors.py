@@ -27,7 +27,7 @@ from .force_record import ForceModel, ForceRecord
 Array = NDArray[np.float64]
 Metric = Literal["free_run", "force"]
 
-_DIVERGED = 1.0 / SearchOptions.accuracy
+DIVERGED = 1.0 / SearchOptions.accuracy
 """Error over the output's standard deviation above which a simulation has diverged."""
 
 
@@ -138,14 +138,22 @@ def runs_free(point: ForceModel, experiment: Experiment) -> bool:
         return False
 
 
+def noise_of_filter(missing: Array, seen: ForceRecord) -> Noise:
+    """Return the noise by which a filter estimates the state at the begin of a free run.
+
+    missing (n,): variance of the missing force, which is white below the band's limit.
+    """
+    density = np.maximum(missing / (2.0 * seen.band.cutoff_hz), TINY)
+    return Noise.independent(density, seen.noise_sd**2)
+
+
 def _simulated(
     point: ForceModel, record: TraceRecord, begin: int, missing: Array, seen: ForceRecord
 ) -> tuple[Array, bool]:
     """Return the RMS error (n,) of a free run, nan if it diverges or does not converge, and whether
     it converged."""
     e, sd = record.experiment, seen.noise_sd
-    density = np.maximum(missing.var(axis=0) / (2.0 * seen.band.cutoff_hz), TINY)
-    noise = Noise.independent(density, sd**2)
+    noise = noise_of_filter(missing.var(axis=0), seen)
     disturbance = Disturbance(noise, float(np.median(sd)), measured=False)
     at = WorkingPoint(point.model, point.parameters, point.placed, disturbance, seen.band.hold)
     try:
@@ -156,7 +164,7 @@ def _simulated(
             rms = np.sqrt(np.mean(error**2, axis=0))
     except (IdentificationError, np.linalg.LinAlgError):
         return np.full(e.y.shape[1], np.nan), False
-    bounded = bool(np.all(rms < _DIVERGED * e.y[begin:].std(axis=0)))
+    bounded = bool(np.all(rms < DIVERGED * e.y[begin:].std(axis=0)))
     return (rms if bounded and run.settled else np.full_like(rms, np.nan)), run.settled
 
 

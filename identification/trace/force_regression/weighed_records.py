@@ -55,15 +55,15 @@ def weighed(
     empty = explained_by_any_form(point, training, options.told_from_model)
     left = [np.where(empty, plain, form) for form, plain in zip(left, missing, strict=True)]
     white = whitening_of(left, [r.band.row_s for r in fitted], limit_hz)
-    weighed = replace(training, whitening=white)
+    anew = replace(training, whitening=white)
     new = {r.placed.effect.identity for r in found}
     bare = replace(point, placed=tuple(p for p in point.placed if p.effect.identity not in new))
-    weighed = with_scale(weighed, weighed.at(bare), options.told_from_model)
-    fit = first_fit(weighed, point)
+    anew = with_scale(anew, anew.at(bare), options.told_from_model)
+    fit = first_fit(anew, point)
     before, after = (missing_share(training.plain.at(p)) for p in (point, fit))
     if np.any(after**2 > (1.0 + options.least_gain) * before**2):
         return training, point
-    return weighed, fit
+    return anew, fit
 
 
 def training_below(

@@ -66,7 +66,7 @@ def traced(friction_n: float, wanders: float, kind: str = "") -> ForceTrace:
 def test_a_model_within_its_noise_of_the_outputs_is_said_to_be_so() -> None:
     found = traced(0.0, WANDERS)
     assert found.outputs is not None
-    # The noise of the first seconds is in the state and the constant force at the begin of a run.
+    # The filter takes noise that wanders in the first seconds for motion, from which a run begins.
     assert found.outputs.percent == pytest.approx(100.0 * SHARE, rel=0.5)
     outcome = force_outcome(found)
     assert outcome.lacks_something

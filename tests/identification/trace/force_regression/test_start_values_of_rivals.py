@@ -6,9 +6,9 @@ import numpy as np
 
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
+from levid.identification.trace.force_regression.compare_with_rivals import contradicted_no_more
 from levid.identification.trace.force_regression.held_out_gain import Gain
 from levid.identification.trace.force_regression.rated_candidate import Rated, _starts
-from levid.identification.trace.force_regression.search import _as_contradicted
 from levid.identification.trace.records.record_from_log import imported_places
 from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Effect, Placed
@@ -54,7 +54,7 @@ def test_a_record_that_contradicts_a_found_law_says_nothing_against_its_rival() 
     own = rated("stiffness.cubic", 2e5, -10.10)
     as_much = rated("damping.quadratic", 2e5, -10.15)
     more = rated("friction.coulomb", 9.0, -50.0)
-    judged = _as_contradicted([own, as_much, more], own.placed, SearchOptions())
+    judged = contradicted_no_more([own, as_much, more], own.placed, SearchOptions())
     assert [r.gain.elsewhere for r in judged] == [False, True, False]
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..identification.trace.force_regression.force_trace_summary import (
-    force_outcome,
-    force_summary,
-    model_with_effects,
-)
+from ..identification.trace.force_regression.force_trace_outcome import force_outcome
+from ..identification.trace.force_regression.force_trace_summary import force_summary
+from ..identification.trace.force_regression.model_with_effects import model_with_effects
 from ..identification.trace.force_regression.trace_imported import ForceTrace, trace_imported
 from ..model.effects.candidate_effects import all_effects
 from .trace import Trace

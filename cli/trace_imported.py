@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 def words_of(found: ForceTrace) -> list[str]:
     """Return the results as lines of text; +- is a 95 % interval."""
-    from ..identification.trace.force_regression.force_trace_summary import (
+    from ..identification.trace.force_regression.force_trace_outcome import force_outcome
+    from ..identification.trace.force_regression.model_with_effects import (
         declared_effects,
-        force_outcome,
         model_with_effects,
     )
     from ..report.trace.answer import imported_answer
@@ -38,14 +38,20 @@ def words_of(found: ForceTrace) -> list[str]:
     lines.append(result.verdict)
     for law in result.laws:
         lines += _law(law)
+    if result.doubts_of_all:
+        lines.append(f"  every effect is uncertain: {'; '.join(result.doubts_of_all)}")
     for effect, parameters in declared_effects(found):
         lines.append(f"{effect.name}, declared: {_values(parameters)} (95 %)")
-    names = found.found.point.parameters.names
+    fitted, declared = model_with_effects(found).parameters, found.config.parameters
     values = [
         f"{name} = {value_with_interval(p.value, p.se)} {p.unit}"
-        + (" (not told by these records)" if p.se is None else "")
-        for name, p in model_with_effects(found).parameters.items()
-        if name in names
+        + (
+            f" (these records do not determine it; declared {declared[name].value:.4g})"
+            if p.se is None
+            else ""
+        )
+        for name, p in fitted.items()
+        if name in found.found.point.parameters.names
     ]
     lines.append(f"model: {', '.join(values)}")
     if result.lacks_something:
@@ -79,8 +85,8 @@ def _law(law: FoundLaw) -> list[str]:
         lines.append(
             f"    these records do not distinguish its members; to distinguish them: {how}"
         )
-    if law.doubtful:
-        lines.append(f"    in doubt: {'; '.join(law.doubts)}")
+    if law.own_doubts:
+        lines.append(f"    uncertain: {'; '.join(law.own_doubts)}")
     if law.inexact:
         lines.append(f"    not exact: {law.inexact}")
     if law.laws:

@@ -33,7 +33,8 @@ from levid.benchmarks.trace.imported_plant_effects import CASES, LAWS, PAIRS, Ca
 from levid.benchmarks.trace.support_calibration import Statement, figures, statements
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.identification.trace.force_regression import force_trace_summary
+from levid.identification.trace.force_regression.force_trace_summary import force_summary
+from levid.identification.trace.force_regression.model_with_effects import model_with_effects
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.identification.trace.search_options import SearchOptions
@@ -107,7 +108,7 @@ def scored(
     records, start = [imported_trace_record(record, config)], time.perf_counter()
     trace = trace_records(records, config, all_effects, lambda *_: None, options)
     seconds = time.perf_counter() - start
-    summary = force_trace_summary.force_summary(trace)
+    summary = force_summary(trace)
 
     def is_one(effect: Drawn, one: Mapping[str, Any]) -> bool:
         return one["class"] in effect.law.right and tuple(one["where"]) == effect.where
@@ -143,7 +144,7 @@ def intervals(trace: ForceTrace, drawn: Case, ratio: float) -> Iterator[tuple[bo
     )
     if sorted(p.effect.identity for p in trace.found.point.placed) != structure:
         return
-    model = force_trace_summary.model_with_effects(trace)
+    model = model_with_effects(trace)
     told = {key: (p.value, p.se) for key, p in model.parameters.items()}
     truth = {name: ratio * value for name, (value, _) in drawn.plant.parameters.items()}
     for effect in model.effects:

@@ -18,7 +18,7 @@ from ..session.session_page import listed
 from .effect_in_words import effect_in_words
 
 if TYPE_CHECKING:
-    from ...identification.trace.force_regression.force_trace_summary import ForceOutcome
+    from ...identification.trace.force_regression.force_trace_outcome import ForceOutcome
     from ...identification.trace.trace_outcome import Outcome
 
 
@@ -177,7 +177,7 @@ def _by_noise(result: ForceOutcome) -> str:
     return (
         "it may be noise of the outputs that is larger at low frequencies than at high ones: "
         "fitted to the outputs themselves, the model without effects is within "
-        f"{result.outputs:.2g} % of them; state noise_sd in the signals file"
+        f"{result.check.outputs:.2g} % of them; state noise_sd in the signals file"
     )
 
 
@@ -194,7 +194,7 @@ def _rest_of_imported(result: ForceOutcome) -> str:
             changed = more if after > before else less
             changed.append(f"from {before:.3g} to {after:.3g} %{at}")
     clauses = (*result.lacks, *_described(result), *_beyond_noise(result), *_at_turns(result))
-    if np.isfinite(result.outputs) and (clauses or result.laws):
+    if np.isfinite(result.check.outputs) and (clauses or result.laws):
         clauses = (*clauses, _by_noise(result))
     lacks = "".join(f" {_sentence(clause)}" for clause in clauses)
     if result.laws:

@@ -10,14 +10,13 @@ import numpy as np
 
 from ...config.model import EffectParameter
 from ...config.version import __version__
-from ...identification.trace.force_regression.force_trace_summary import (
-    ABOUT,
-    ForceOutcome,
+from ...identification.trace.force_regression.force_trace_outcome import ForceOutcome, force_outcome
+from ...identification.trace.force_regression.force_trace_summary import ABOUT
+from ...identification.trace.force_regression.found_law import FoundLaw
+from ...identification.trace.force_regression.model_with_effects import (
     declared_effects,
-    force_outcome,
     model_with_effects,
 )
-from ...identification.trace.force_regression.found_law import FoundLaw
 from ...identification.trace.force_regression.rated_candidate import Rated
 from ...identification.trace.force_regression.reported_errors import ReportedError
 from ...identification.trace.force_regression.trace_imported import ForceTrace
@@ -102,17 +101,20 @@ def _notes(result: ForceOutcome) -> list[str]:
         )
     told = None
     for law in result.laws:
-        if law.doubtful:
-            texts.append(
-                f"{law.name} is uncertain: {'; '.join(law.doubts)}. If the true effect is not in "
-                "the table, the nearest one explains a part of it."
-            )
+        if law.own_doubts:
+            texts.append(f"{law.name} is uncertain: {'; '.join(law.own_doubts)}.")
         if law.curve is not None and law.curve is not told:
             told = law.curve
             texts.append(f"The equation of {law.name} is not exact: {law.inexact}.")
         if law.laws:
             names = ", ".join(r.placed.effect.title for r in law.laws)
             texts.append(f"Other laws fit as well as {law.name}: {names}.")
+    if result.doubts_of_all:
+        texts.append(f"Every effect is uncertain: {'; '.join(result.doubts_of_all)}.")
+    if result.doubtful:
+        texts.append(
+            "If the true effect is not in the table, the nearest one explains a part of it."
+        )
     return texts
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from ....config.model import EffectParameter
 from ....model.effects.base import Placed
 from ...value_with_interval import percent
+from .model_check import ModelCheck
 from .rated_candidate import Rated
 
 _COULOMB = "friction.coulomb"
@@ -19,26 +18,15 @@ _COULOMB = "friction.coulomb"
 class FoundLaw:
     """An effect that the search added.
 
-    support: share of bootstrap samples of the blocks in which an effect of this class at this place
-    gains most. `alternatives` are of other classes or places, each with its support: these records
-    do not tell them apart. laws: other laws of the same class and place, not told apart either.
-    left_share: share of the squared missing force without it that is left with it, beyond the noise
-    of the outputs; leaning: the same without the effects in doubt; unseen: the same of all effects,
-    in the rows that neither fitted nor chose. least_gain: share that an effect must take. curve:
-    free form of its signal that surely improves on it, None without one. grew: whether the model
-    with all effects misses more force in the rows that neither fitted nor chose, and whether its
-    free run is farther from them. floors: error of the free run over what the stated noise leaves
-    of it, at the DOF where that is most, nan without them or if hardly any of the error before is
-    left, infinite if it converges without effects only and the force does not confirm them. told:
-    whether the force of one of its amplitudes is told from zero. surely: standard errors from which
-    on two numbers differ; agreement: deviations within which data agree; accuracy: relative error
-    of a right law. displaced: parameters of the model that are at a limit of their range with the
-    effects, so that one of these may do what the parameter did; of zero, which a damping may be, it
-    says nothing. impossible: what of the model cannot be with it.
-    exchanged: with which columns exchanged the model explains as much without effects; empty if
-    there are none. crowded: how many effects were found if the search looks for no more, else 0.
-    outputs: how close to the outputs a model without effects is that is fitted to them, in per cent
-    of these, if it is as close as with the effects found, else nan.
+    parameters: its numbers by name, with standard errors. support: share of bootstrap samples of
+    the blocks in which an effect of this class at this place gains most. alternatives: effects of
+    other classes or places that these records cannot separate from it, each with its support. laws:
+    such effects of the same class and place. left_share: share of the squared missing force without
+    it that it leaves, beyond the noise of the outputs; leaning: the same without the uncertain
+    effects. curve: free form of its signal that surely improves on it, None without one.
+    significant: whether the force of one of its amplitudes differs from zero. impossible: what is
+    physically impossible in the model with it and not without it. check: the checks of the model
+    with all effects.
     """
 
     rated: Rated
@@ -48,20 +36,10 @@ class FoundLaw:
     laws: tuple[Rated, ...]
     left_share: float
     leaning: float
-    unseen: float
-    least_gain: float
     curve: Rated | None
-    grew: tuple[bool, bool]
-    floors: float
-    told: bool
-    surely: float
-    agreement: float
-    accuracy: float
-    displaced: tuple[str, ...]
+    significant: bool
     impossible: tuple[str, ...]
-    exchanged: str
-    crowded: int
-    outputs: float
+    check: ModelCheck
 
     @property
     def doubtful(self) -> bool:
@@ -70,68 +48,43 @@ class FoundLaw:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Why the name is uncertain, as sentences.
+        """Why the name is uncertain, as clauses."""
+        if self.free:
+            return self.check.close_without_effects
+        return (*self.own_doubts, *self.check.doubts)
 
-        A law that is right leaves far less: if what is there is not in the table, the best law
-        still explains a part of it. A law of which no amplitude is told from zero has its shape at
-        the edge of what it can be, where it stands for another one.
+    @property
+    def own_doubts(self) -> tuple[str, ...]:
+        """Why this name is uncertain, whatever the check of the whole model says, as clauses.
+
+        A right law leaves far less: if the table lacks the true effect, the best law still explains
+        a part of it. A law without a significant amplitude has its shape at the edge of its range,
+        where it resembles another law.
         """
         if self.free:
-            return (self._outputs,) if np.isfinite(self.outputs) else ()
-        left = percent(self.left_share)
+            return ()
+        least = self.check.options.least_gain
         pair = " and ".join(self.placed.effect.equal_numbers or ())
-        more, farther = self.grew
         reasons = {
-            f"its {pair} are one number in the textbook law, and differ here": self.unequal,
-            f"of the squared missing force without it, {left} is left": (
-                self.left_share > self.least_gain
-            ),
-            f"without what is in doubt, {percent(self.leaning)} is left beside it": (
-                self.leaning > self.least_gain
-            ),
-            "of the squared missing force in the rows that neither fitted nor chose, "
-            f"{percent(self.unseen)} is left": (self.unseen > self.least_gain >= self.left_share),
-            "no amplitude of it is told from zero": not self.told,
-            f"its {' and '.join(self.at_limit)} ended at the limit of what it can be": bool(
+            f"the textbook law has one number for {pair}, and these differ": self.unequal,
+            f"it leaves {percent(self.left_share)} of the squared missing force that the model has "
+            "without it": self.left_share > least,
+            f"without the other uncertain effects, it leaves {percent(self.leaning)} of the "
+            "squared missing force": self.leaning > least,
+            "each of its amplitudes may be zero": not self.significant,
+            f"its {' and '.join(self.at_limit)} ended at the limit of the allowed range": bool(
                 self.at_limit
             ),
-            "it turns over a large part of the speeds, where dry friction turns at once: it may be "
-            "a damping that levels off": self.turns_slowly,
-            "the rows that neither fitted nor chose miss more force with what was found": more,
-            "with what was found the free run is farther from these rows": farther,
-            self._off: self.floors > self.agreement,
-            f"{' and '.join(self.displaced)} ended at the limit of its range beside it": bool(
-                self.displaced
-            ),
-            f"the search ended with {self.crowded} effects, the most that it looks for: several "
-            "may stand for one that the table lacks": self.crowded > 0,
-            self._outputs: bool(np.isfinite(self.outputs)),
-            f"without any effect the model explains as much if {self.exchanged}": bool(
-                self.exchanged
-            ),
-            f"with it {' and '.join(self.impossible)}, and not without": bool(self.impossible),
-            f"its depth would be 1, but is {self.depth:.2g}": self.partial,
+            "it changes sign gradually over a large part of the speeds, and dry friction changes "
+            "sign at once: it may be a damping that levels off": self.turns_slowly,
+            f"{' and '.join(self.impossible)} with it, and not without it": bool(self.impossible),
+            f"its depth is {self.depth:.2g}, and the textbook law has 1": self.partial,
         }
         return tuple(reason for reason, so in reasons.items() if so)
 
     @property
-    def _off(self) -> str:
-        """How far off the free run is."""
-        if np.isinf(self.floors):
-            return "with what was found the free run does not converge, and the force leaves room"
-        return f"with what was found the free run is {self.floors:.2g} times the noise off"
-
-    @property
-    def _outputs(self) -> str:
-        """How close to the outputs a model without effects is."""
-        return (
-            f"fitted to the outputs themselves, the model without any effect is within "
-            f"{self.outputs:.2g} % of them, as close as with what was found"
-        )
-
-    @property
     def _another_law(self) -> bool:
-        """Whether a law that these records do not tell from it is not the same at another place."""
+        """Whether an alternative is another law, not the same law at another place."""
         own = self.placed.effect
         others = [r.placed.effect for r in self.alternatives]
         return any(e.key not in own.same_if_linear for e in others)
@@ -147,39 +100,40 @@ class FoundLaw:
         """Whether its depth surely is not 1, though the law has no other value."""
         if not self.placed.effect.whole or self._another_law:
             return False
-        se = self.parameters["depth"].se
-        return se is not None and abs(self.depth - 1.0) > max(self.surely * se, self.accuracy)
+        se, options = self.parameters["depth"].se, self.check.options
+        return se is not None and abs(self.depth - 1.0) > max(
+            options.standard_errors * se, options.alike
+        )
 
     @property
     def at_limit(self) -> list[str]:
-        """Its shape's numbers at a limit of their range where the law does not end, if the records
-        tell them from zero."""
-        found = []
+        """The numbers of its shape that differ from zero and are at a limit of their range that is
+        not the end of the law."""
+        found, surely = [], self.check.options.standard_errors
         for q, value in zip(self.placed.effect.shape, self.placed.shape, strict=True):
             se = self.parameters[q.name].se
-            told = se is not None and self.surely * se < value
+            known = se is not None and surely * se < value
             above = value >= q.high and not q.ends
-            if told and (above or (q.another_below and value <= q.low)):
+            if known and (above or (q.another_below and value <= q.low)):
                 found.append(q.name)
         return found
 
     @property
     def turns_slowly(self) -> bool:
-        """Whether it is a dry friction that surely is not dry at most of the speeds."""
+        """Whether it is a dry friction that changes sign gradually over most of the speeds."""
         effect, shape = self.placed.effect, self.placed.shape
         coulomb = tuple if effect.key == _COULOMB else effect.contains.get(_COULOMB)
         if coulomb is None:
             return False
         v_s = effect.shape[0]
         se = self.parameters[v_s.name].se
-        told = se is not None and self.surely * se < shape[0]
-        return told and coulomb(shape)[0] > v_s.another_above
+        known = se is not None and self.check.options.standard_errors * se < shape[0]
+        return known and coulomb(shape)[0] > v_s.another_above
 
     @property
     def unequal(self) -> bool:
-        """Whether two numbers that are one if the law is all there is surely differ.
-
-        By less than a right law's accuracy they may.
+        """Whether two numbers that the textbook law has in common differ, by more than the accuracy
+        of a right law.
         """
         if self.placed.effect.equal_numbers is None or self._another_law:
             return False
@@ -189,7 +143,8 @@ class FoundLaw:
         apart = abs(one.value - other.value)
         error = math.hypot(one.se, other.se)
         size = max(abs(one.value), abs(other.value))
-        return apart > max(self.surely * error, self.accuracy * size)
+        options = self.check.options
+        return apart > max(options.standard_errors * error, options.alike * size)
 
     @property
     def inexact(self) -> str:

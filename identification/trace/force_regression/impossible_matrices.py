@@ -1,10 +1,11 @@
-"""Find effects beside which the model's inertia or damping became what neither can be.
+"""Find the effects beside which the model's inertia or damping matrix is physically impossible.
 
-Several mechanisms have the same transfer function. That of a load on a soft shaft beside a damping
-of minus 100 N s/m is that of a passive force with a memory, which no law of the table is: what a
-fit needs a negative damper for is not what its name says. Nor is what takes the place of an
-inertia, as a coupling does that makes one equation of motion another one. A stiffness may be
-negative, as that of a magnet is, and so may a damping that a model file declares so.
+Several mechanisms have the same transfer function. A load on a soft shaft beside a damping of
+-100 N s/m has the transfer function of a passive force with memory, which is no law of the table:
+an effect that needs a negative damper is not what its name says. Nor is an effect that takes the
+place of an inertia, as a coupling does that turns one equation of motion into another one. A
+stiffness may be negative, as that of a magnet, and so may a damping that the model file declares
+negative.
 """
 
 from __future__ import annotations
@@ -37,8 +38,10 @@ def impossible_matrices(
     uncertainty: Uncertainty,
     options: SearchOptions,
 ) -> dict[str, tuple[str, ...]]:
-    """Return for each effect, by identity, what cannot be with it, and could without: "the damping
-    at x is negative"; under the name "" what cannot be of a model without any.
+    """Return, by the identity of each effect, what is impossible with it and not without it.
+
+    It is said as "the damping at x is negative". Under the identity "" stands what is impossible in
+    a model without effects.
 
     declared: values of the parameters in the model file. uncertainty: of the numbers of the found
     point.
@@ -55,7 +58,7 @@ def impossible_matrices(
     if not found.rated:
         return {"": tuple(negative.values())}
     inertia = next((m for m in matrices if m.name == "M"), None)
-    vague = inertia is not None and not inertia.is_told(point, uncertainty, options)
+    vague = inertia is not None and not inertia.is_positive(point, uncertainty, options)
     caused = dict[str, tuple[str, ...]]()
     for rated in found.rated if negative or vague else ():
         identity = rated.placed.effect.identity
@@ -65,8 +68,8 @@ def impossible_matrices(
             words for matrix, words in negative.items() if matrix.smallest(without.model)[0] >= 0.0
         ]
         if vague and inertia is not None:
-            told = inertia.is_told(without, Uncertainty.of(without, training, ()), options)
-            reasons += ["the inertia is not told from zero"] if told else []
+            positive = inertia.is_positive(without, Uncertainty.of(without, training, ()), options)
+            reasons += ["the inertia may be zero"] if positive else []
         caused[identity] = tuple(reasons)
     return caused
 
@@ -103,7 +106,9 @@ class _Matrix:
         force = np.abs(scaled_force) / np.maximum(self.size, TINY)
         return [d for d, f, enough in zip(point.model.dof, force, least, strict=True) if f > enough]
 
-    def is_told(self, point: ForceModel, uncertainty: Uncertainty, options: SearchOptions) -> bool:
+    def is_positive(
+        self, point: ForceModel, uncertainty: Uncertainty, options: SearchOptions
+    ) -> bool:
         """Return whether its smallest eigenvalue is surely positive."""
         least, along = self.smallest(point.model)
         return least > options.standard_errors * self.standard_error(point, along, uncertainty)

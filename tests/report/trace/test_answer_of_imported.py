@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from levid.identification.trace.force_regression.model_check import ModelCheck
+from levid.identification.trace.search_options import SearchOptions
 from levid.report.trace.answer import _rest_of_imported
 
 
@@ -37,7 +39,7 @@ def test_the_missing_force_of_each_dof_falls_stays_or_rises(
         lacks=(),
         form_matters={},
         at_turns=(),
-        outputs=np.nan,
+        check=ModelCheck(SearchOptions()),
         beyond_noise={},
     )
     assert _rest_of_imported(result) == f"The missing force {said}"  # type: ignore[arg-type]
@@ -52,7 +54,7 @@ def test_what_is_more_than_noise_is_said_where_no_form_describes_it() -> None:
         lacks=(),
         form_matters={},
         at_turns=(),
-        outputs=np.nan,
+        check=ModelCheck(SearchOptions()),
         beyond_noise={"a": 1.0},
     )
     assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
@@ -70,7 +72,7 @@ def test_what_a_free_form_describes_and_no_law_does_is_said() -> None:
         lacks=(),
         form_matters={"a": 0.99},
         at_turns=(),
-        outputs=np.nan,
+        check=ModelCheck(SearchOptions()),
     )
     assert _rest_of_imported(result).endswith(  # type: ignore[arg-type]
         "The model lacks something: in the fitted rows it leaves 85 % of the force, with a free "
@@ -88,7 +90,7 @@ def test_what_is_left_at_turns_is_no_other_law() -> None:
         form_matters={},
         beyond_noise={},
         at_turns=("a",),
-        outputs=np.nan,
+        check=ModelCheck(SearchOptions()),
     )
     said = _rest_of_imported(result)  # type: ignore[arg-type]
     assert said.endswith(

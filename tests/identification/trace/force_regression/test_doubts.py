@@ -13,10 +13,15 @@ from levid.config.base import parse_text
 from levid.config.model import EffectParameter, ModelConfig
 from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.free_parameters import free_parameters
-from levid.identification.trace.force_regression import certainty_of_effects, force_trace_summary
+from levid.identification.trace.force_regression import (
+    certainty_of_effects,
+    force_trace_outcome,
+    model_check,
+)
 from levid.identification.trace.force_regression.certainty_of_effects import FittedRows
 from levid.identification.trace.force_regression.force_record import ForceModel
 from levid.identification.trace.force_regression.found_law import FoundLaw
+from levid.identification.trace.force_regression.model_check import ModelCheck
 from levid.identification.trace.force_regression.rated_candidate import Rated
 from levid.identification.trace.force_regression.search import Searched
 from levid.identification.trace.records.record_from_log import imported_places
@@ -35,36 +40,15 @@ K: [[1.0]]
 """
 
 
-def found(
-    rated: Rated,
-    numbers: dict[str, EffectParameter],
-    floors: float = np.nan,
-    displaced: tuple[str, ...] = (),
-) -> FoundLaw:
-    """Return a law that nothing but its numbers, or the free run, puts in doubt."""
-    return FoundLaw(
-        rated,
-        numbers,
-        1.0,
-        (),
-        (),
-        0.0,
-        0.0,
-        0.0,
-        0.1,
-        None,
-        (False, False),
-        floors,
-        True,
-        3.0,
-        6.0,
-        0.02,
-        displaced,
-        (),
-        "",
-        0,
-        np.nan,
-    )
+def found(rated: Rated, numbers: dict[str, EffectParameter], **check: Any) -> FoundLaw:
+    """Return a law that nothing but its numbers, or the check of the model, puts in doubt."""
+    model = ModelCheck(SearchOptions(), **check)
+    return FoundLaw(rated, numbers, 1.0, (), (), 0.0, 0.0, None, True, (), model)
+
+
+def in_model(law: FoundLaw, **check: Any) -> FoundLaw:
+    """Return the law with another check of the model with all effects."""
+    return replace(law, check=replace(law.check, **check))
 
 
 @pytest.mark.parametrize(
@@ -145,7 +129,7 @@ def test_a_partial_law_and_a_free_run_that_stays_off_are_in_doubt(
         q.name: EffectParameter(value=value, unit=q.unit, se=se)
         for q, value in zip((*effect.amplitudes, *effect.shape), (depth, 3.0, 0.7), strict=True)
     }
-    law = found(rated, numbers, floors)
+    law = found(rated, numbers, floors=floors)
     assert law.doubtful == doubtful
 
 
@@ -157,7 +141,7 @@ def test_a_law_beside_which_a_parameter_ends_at_its_limit_is_in_doubt() -> None:
     numbers = {"d2": EffectParameter(value=0.1, unit="N m s^2/rad^2", se=0.01)}
     assert not found(rated, numbers).doubtful
     (doubt,) = found(rated, numbers, displaced=("j",)).doubts
-    assert doubt.startswith("j ended at the limit")
+    assert doubt == "with the effects, j ended at the limit of its range"
 
 
 def left_with(left: list[float], form: list[float]) -> Any:
@@ -190,7 +174,7 @@ def test_force_confirms_what_leaves_no_more_than_a_free_form_and_noise(
         force_percent=np.array([5.0, 0.1]), noise_percent=np.array([noise, 0.1])
     )
     trace = left_with([5.0, 0.1], [form, 0.1])
-    assert force_trace_summary._confirmed_by_force(trace, before, after) == confirmed
+    assert model_check._confirmed_by_force(trace, before, after) == confirmed
 
 
 def test_a_free_form_that_takes_noise_tells_nothing() -> None:
@@ -199,7 +183,7 @@ def test_a_free_form_that_takes_noise_tells_nothing() -> None:
 
 
 def test_a_dof_lacks_what_a_free_form_takes_if_it_matters() -> None:
-    lacking = force_trace_summary._lacking
+    lacking = force_trace_outcome._lacking
     # Of 8.5 % a half; of 0.5 % as well, but that is less than equations are right to.
     assert lacking(left_with([8.5, 0.5], [6.0, 0.35])) == {"x": pytest.approx(0.502, abs=1e-3)}
     assert lacking(left_with([8.5, 8.5], [8.0, np.nan])) == {}
@@ -213,19 +197,19 @@ def test_what_matters_at_turns_only_is_told_from_what_matters_everywhere() -> No
     for between, expected in ((None, ()), (quiet, ("x",)), (trace.rows, ())):
         trace.between = between
         # There is no friction at y.
-        assert force_trace_summary._only_at_turns(trace) == expected
+        assert model_check.missing_only_at_turns(trace) == expected
     trace.rows = quiet  # what is missing in the reported rows is not at turns
-    assert force_trace_summary._only_at_turns(trace) == ()
+    assert model_check.missing_only_at_turns(trace) == ()
 
 
 def test_each_of_as_many_effects_as_are_looked_for_is_in_doubt() -> None:
     """A belt whose stiffness goes with its carriage was an inertia, a force constant and more."""
-    (doubt,) = replace(law_of("actuator_lag"), crowded=6).doubts
-    assert doubt.startswith("the search ended with 6 effects, the most that it looks for")
-    (doubt,) = replace(law_of("actuator_lag"), exchanged="a and b are exchanged").doubts
-    assert doubt == "without any effect the model explains as much if a and b are exchanged"
+    (doubt,) = in_model(law_of("actuator_lag"), crowded=6).doubts
+    assert doubt.startswith("the search ended at its maximum of 6 effects")
+    (doubt,) = in_model(law_of("actuator_lag"), exchanged="a and b are exchanged").doubts
+    assert doubt == "the model without effects explains as much if a and b are exchanged"
     (doubt,) = replace(law_of("actuator_lag"), impossible=("the damping at q is negative",)).doubts
-    assert doubt == "with it the damping at q is negative, and not without"
+    assert doubt == "the damping at q is negative with it, and not without it"
 
 
 def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -> None:
@@ -260,7 +244,9 @@ def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -
     assert asked == [["actuator_lag", "damping.quadratic"], ["damping.quadratic"]]
     assert leaning((0.05, 0.05, 0.0)) == (0.0, 0.0, 0.0)  # nothing is in doubt
     law = replace(law_of("actuator_lag"), leaning=0.75)
-    assert law.doubts == ("without what is in doubt, 75 % is left beside it",)
+    assert law.doubts == (
+        "without the other uncertain effects, it leaves 75 % of the squared missing force",
+    )
 
 
 @pytest.mark.parametrize(
@@ -331,7 +317,7 @@ def test_what_is_left_in_unseen_rows_counts_beyond_noise_where_it_matters(
     after = SimpleNamespace(
         force_percent=np.array([left, 1.0]), noise_percent=np.array([noise, 0.0])
     )
-    found_share = force_trace_summary._left_unseen(trace, before, after)  # type: ignore[arg-type]
+    found_share = model_check._left_unseen(trace, before, after)  # type: ignore[arg-type]
     assert found_share == pytest.approx(share, abs=2e-3)
 
 
@@ -341,6 +327,6 @@ def test_a_name_is_in_doubt_where_unseen_rows_keep_a_tenth() -> None:
     rated = Rated(Placed(effect, (), (0.1,)), None, 0.1)  # type: ignore[arg-type]
     numbers = {"d2": EffectParameter(value=0.1, unit="N m s^2/rad^2", se=0.01)}
     law = found(rated, numbers)
-    assert not replace(law, unseen=0.09).doubtful
-    (doubt,) = replace(law, unseen=0.18).doubts
-    assert doubt.endswith("in the rows that neither fitted nor chose, 18 % is left")
+    assert not in_model(law, unseen=0.09).doubtful
+    (doubt,) = in_model(law, unseen=0.18).doubts
+    assert doubt.startswith("18 % of the squared missing force is left in the last quarter")

@@ -9,7 +9,7 @@ from levid.benchmarks.trace.imported_plant_simulation import Linear, simulated
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.trace.force_regression.force_trace_summary import force_outcome
+from levid.identification.trace.force_regression.force_trace_outcome import force_outcome
 from levid.identification.trace.force_regression.trace_imported import trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.model.effects.candidate_effects import all_effects
@@ -52,4 +52,4 @@ def test_a_law_that_needs_a_negative_damper_is_in_doubt() -> None:
     (law,) = force_outcome(found).laws
     assert law.placed.effect.effect_class == "flexible_mode"
     assert found.found.point.model.values["d"] < -50.0
-    assert law.doubts == ("with it the damping at h is negative, and not without",)
+    assert law.doubts == ("the damping at h is negative with it, and not without it",)

@@ -14,7 +14,7 @@ from levid.benchmarks.trace.sticking_plants import TS, Shaft
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.trace.force_regression.force_trace_summary import force_outcome
+from levid.identification.trace.force_regression.force_trace_outcome import force_outcome
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.model.effects.candidate_effects import all_effects

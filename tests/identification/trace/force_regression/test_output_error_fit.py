@@ -11,7 +11,7 @@ from levid.benchmarks.trace.imported_plant_simulation import Acting, Kind, Linea
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.trace.force_regression.force_trace_summary import force_outcome
+from levid.identification.trace.force_regression.force_trace_outcome import force_outcome
 from levid.identification.trace.force_regression.output_error_fit import as_close
 from levid.identification.trace.force_regression.reported_errors import PooledError
 from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
@@ -80,7 +80,7 @@ def test_an_effect_that_is_there_is_closer_to_the_outputs() -> None:
     found = traced(1.0, 0.0, "friction")
     (law,) = force_outcome(found).laws
     assert law.doubts == ()
-    assert np.isnan(force_outcome(found).outputs)
+    assert np.isnan(force_outcome(found).check.outputs)
 
 
 @pytest.mark.parametrize(

@@ -19,10 +19,8 @@ from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.trace.force_regression.force_record import ForceModel
-from levid.identification.trace.force_regression.force_trace_summary import (
-    force_outcome,
-    force_summary,
-)
+from levid.identification.trace.force_regression.force_trace_outcome import force_outcome
+from levid.identification.trace.force_regression.force_trace_summary import force_summary
 from levid.identification.trace.force_regression.held_out_gain import Blocks
 from levid.identification.trace.force_regression.residual_whitening import Whitening
 from levid.identification.trace.force_regression.scale_of_equations import (

@@ -13,9 +13,9 @@ from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace.force_regression import trace_imported
-from levid.identification.trace.force_regression.force_trace_summary import (
+from levid.identification.trace.force_regression.force_trace_summary import force_summary
+from levid.identification.trace.force_regression.model_with_effects import (
     declared_effects,
-    force_summary,
     model_with_effects,
 )
 from levid.identification.trace.force_regression.search import Searched

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..config.model import ModelConfig
-    from ..identification.trace.force_regression.trace_imported import ForceTrace
+    from ..identification.trace.force_trace.trace_imported import ForceTrace
     from ..identification.trace.run_trace import Trace as RigTraceResult
     from .session import Progress, Session, Warn
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..identification.trace.force_regression.force_trace_outcome import force_outcome
-from ..identification.trace.force_regression.force_trace_summary import force_summary
-from ..identification.trace.force_regression.model_with_effects import model_with_effects
-from ..identification.trace.force_regression.trace_imported import ForceTrace, trace_imported
+from ..identification.trace.force_trace.force_trace_outcome import force_outcome
+from ..identification.trace.force_trace.force_trace_summary import force_summary
+from ..identification.trace.force_trace.model_with_effects import model_with_effects
+from ..identification.trace.force_trace.trace_imported import ForceTrace, trace_imported
 from ..model.effects.candidate_effects import all_effects
 from .trace import Trace
 

@@ -9,14 +9,14 @@ from ..identification.value_with_interval import value_with_interval
 
 if TYPE_CHECKING:
     from ..config.model import EffectParameter
-    from ..identification.trace.force_regression.found_law import FoundLaw
-    from ..identification.trace.force_regression.trace_imported import ForceTrace
+    from ..identification.trace.force_trace.found_law import FoundLaw
+    from ..identification.trace.force_trace.trace_imported import ForceTrace
 
 
 def words_of(found: ForceTrace) -> list[str]:
     """Return the results as lines of text; +- is a 95 % interval."""
-    from ..identification.trace.force_regression.force_trace_outcome import force_outcome
-    from ..identification.trace.force_regression.model_with_effects import (
+    from ..identification.trace.force_trace.force_trace_outcome import force_outcome
+    from ..identification.trace.force_trace.model_with_effects import (
         declared_effects,
         model_with_effects,
     )

@@ -33,9 +33,9 @@ from levid.benchmarks.trace.imported_plant_effects import CASES, LAWS, PAIRS, Ca
 from levid.benchmarks.trace.support_calibration import Statement, figures, statements
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.identification.trace.force_regression.force_trace_summary import force_summary
-from levid.identification.trace.force_regression.model_with_effects import model_with_effects
-from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
+from levid.identification.trace.force_trace.force_trace_summary import force_summary
+from levid.identification.trace.force_trace.model_with_effects import model_with_effects
+from levid.identification.trace.force_trace.trace_imported import ForceTrace, trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.candidate_effects import all_effects

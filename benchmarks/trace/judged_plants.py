@@ -21,8 +21,8 @@ from threadpoolctl import threadpool_limits
 from levid.benchmarks.harness.benchmark_runner import Figure, Target, parser, show
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.trace.force_regression.force_trace_summary import force_summary
-from levid.identification.trace.force_regression.trace_imported import ForceTrace, trace_records
+from levid.identification.trace.force_trace.force_trace_summary import force_summary
+from levid.identification.trace.force_trace.trace_imported import ForceTrace, trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.model.effects.candidate_effects import all_effects
 

@@ -24,7 +24,7 @@ from levid.benchmarks.trace.sticking_plants import TS, Array, Shaft, Stage
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.identification.trace.force_regression.trace_imported import ForceTrace
+from levid.identification.trace.force_trace.trace_imported import ForceTrace
 
 FIRST_SEED = 50_000
 

@@ -24,7 +24,7 @@ from levid.benchmarks.trace.swinging_plants import Plant
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.subspace.response_uncertainty import SURE_95
-from levid.identification.trace.force_regression.trace_imported import ForceTrace
+from levid.identification.trace.force_trace.trace_imported import ForceTrace
 
 FIRST_SEED = 70_000
 

@@ -18,7 +18,7 @@ from ..session.session_page import listed
 from .effect_in_words import effect_in_words
 
 if TYPE_CHECKING:
-    from ...identification.trace.force_regression.force_trace_outcome import ForceOutcome
+    from ...identification.trace.force_trace.force_trace_outcome import ForceOutcome
     from ...identification.trace.trace_outcome import Outcome
 
 

@@ -10,16 +10,16 @@ import numpy as np
 
 from ...config.model import EffectParameter
 from ...config.version import __version__
-from ...identification.trace.force_regression.force_trace_outcome import ForceOutcome, force_outcome
-from ...identification.trace.force_regression.force_trace_summary import ABOUT
-from ...identification.trace.force_regression.found_law import FoundLaw
-from ...identification.trace.force_regression.model_with_effects import (
+from ...identification.trace.force_balance.reported_errors import ReportedError
+from ...identification.trace.force_search.rated_candidate import Rated
+from ...identification.trace.force_trace.force_trace_outcome import ForceOutcome, force_outcome
+from ...identification.trace.force_trace.force_trace_summary import ABOUT
+from ...identification.trace.force_trace.found_law import FoundLaw
+from ...identification.trace.force_trace.model_with_effects import (
     declared_effects,
     model_with_effects,
 )
-from ...identification.trace.force_regression.rated_candidate import Rated
-from ...identification.trace.force_regression.reported_errors import ReportedError
-from ...identification.trace.force_regression.trace_imported import ForceTrace
+from ...identification.trace.force_trace.trace_imported import ForceTrace
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import (
     Figures,

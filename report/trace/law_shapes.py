@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ...identification.trace.force_regression.force_record import ForceModel, ForceRecord
-from ...identification.trace.force_regression.found_law import FoundLaw
-from ...identification.trace.force_regression.trace_imported import ForceTrace
+from ...identification.trace.force_balance.force_record import ForceModel, ForceRecord
+from ...identification.trace.force_trace.found_law import FoundLaw
+from ...identification.trace.force_trace.trace_imported import ForceTrace
 from ...identification.trace.residual.binned_means import dependence
 from .effect_shapes import Shape
 

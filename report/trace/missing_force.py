@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...identification.trace.force_regression.trace_imported import ForceTrace
+from ...identification.trace.force_trace.trace_imported import ForceTrace
 from ..plotting.labelled_frequency_responses import symbol
 from ..plotting.min_max_envelope import envelope, plot_envelope
 from ..plotting.number_format import unit_text

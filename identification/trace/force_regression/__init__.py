@@ -1,1 +1,1 @@
-"""Trace imported records: regress the force that a model lacks on the forces of effects."""
+"""Fit a model with effects to the force balance of records, block by block."""

@@ -13,9 +13,9 @@ from scipy.optimize import least_squares, lsq_linear, minimize_scalar
 
 from ....model.effects.base import Effect, Placed, Quantity
 from ...rounding import DIFFERENCE, TINY, basis_of
+from ..force_balance.force_record import GROUPS, ForceModel
+from ..force_balance.free_numbers import Shape
 from ..search_options import SearchOptions
-from .force_record import GROUPS, ForceModel
-from .free_numbers import Shape
 from .training_records import Evaluated, Training
 
 Array = NDArray[np.float64]

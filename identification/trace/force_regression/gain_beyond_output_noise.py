@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...rounding import TINY
+from ..force_balance.force_record import ForceModel
 from ..search_options import SearchOptions
-from .force_record import ForceModel
 from .training_records import Training
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from ...rounding import DIFFERENCE, ROUNDING
+from ..force_balance.force_record import ForceModel
+from ..force_balance.free_numbers import moved_by, room, silent_numbers, way
 from ..search_options import SearchOptions
-from .force_record import ForceModel
-from .free_numbers import moved_by, room, silent_numbers, way
 from .training_records import Evaluated, Training
 
 Array = NDArray[np.float64]

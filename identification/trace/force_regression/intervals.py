@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ....model.effects.base import Placed
 from ...rounding import DIFFERENCE, ROUNDING, TINY
 from ...subspace.response_uncertainty import SURE_95
+from ..force_balance.force_record import ForceModel, ForceRecord
+from ..force_balance.free_numbers import numbers, numbers_of, silent_numbers
 from .candidate_fit import flat
-from .force_record import ForceModel, ForceRecord
-from .free_numbers import numbers, numbers_of, silent_numbers
 from .training_records import Training
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ....model.declared_model import ModelError
 from ....model.effects.base import Effect, Placed
 from ...rounding import DIFFERENCE, ROUNDING, TINY
+from ..force_balance.force_record import GROUPS, ForceModel, ForceRecord, Part, group_of
+from ..force_balance.free_numbers import Shape, numbers_of, shapes_beside
 from ..search_options import SearchOptions
-from .force_record import GROUPS, ForceModel, ForceRecord, Part, group_of
-from .free_numbers import Shape, numbers_of, shapes_beside
 from .held_out_gain import Blocks, Columns
 from .residual_whitening import Whitening
 

@@ -9,8 +9,8 @@ import pytest
 
 from levid.benchmarks.harness import silverbox
 from levid.config.model import load_model
-from levid.identification.trace.force_regression.force_trace_summary import force_summary
-from levid.identification.trace.force_regression.trace_imported import trace_imported
+from levid.identification.trace.force_trace.force_trace_summary import force_summary
+from levid.identification.trace.force_trace.trace_imported import trace_imported
 from levid.identification.trace.run_trace import trace
 from levid.identification.trace.worker_pool import Alone
 from levid.model.effects.candidate_effects import all_effects

@@ -14,9 +14,9 @@ from levid.benchmarks.trace.judged_plants import traced
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.docs.make_effects_table import rig_places, two_dof
-from levid.identification.trace.force_regression import weighed_records
 from levid.identification.trace.force_regression.candidate_fit import Beside, taken_at
-from levid.identification.trace.force_regression.trace_imported import ForceTrace
+from levid.identification.trace.force_search import weighed_records
+from levid.identification.trace.force_trace.trace_imported import ForceTrace
 from levid.model.effects import linear_entries
 from levid.model.effects.base import Effect, Signals
 

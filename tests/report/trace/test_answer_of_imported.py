@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from levid.identification.trace.force_regression.model_check import ModelCheck
+from levid.identification.trace.force_trace.model_check import ModelCheck
 from levid.identification.trace.search_options import SearchOptions
 from levid.report.trace.answer import _rest_of_imported
 

@@ -11,8 +11,8 @@ from levid.benchmarks.trace.imported_plant_simulation import Linear, simulated
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.trace.force_regression.trace_imported import trace_records
-from levid.identification.trace.force_regression.weighed_records import unweighed
+from levid.identification.trace.force_search.weighed_records import unweighed
+from levid.identification.trace.force_trace.trace_imported import trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects

@@ -10,15 +10,15 @@ import pytest
 from levid.benchmarks.trace.imported_plant_cases import declared
 from levid.benchmarks.trace.imported_plant_effects import case
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
-from levid.identification.trace.force_regression import weighed_records
-from levid.identification.trace.force_regression.force_record import ForceModel
+from levid.identification.trace.force_balance.force_record import ForceModel
 from levid.identification.trace.force_regression.gain_beyond_output_noise import (
     more_than_noise,
     taken_beyond_noise,
 )
 from levid.identification.trace.force_regression.gauss_newton_fit import fit_numbers
-from levid.identification.trace.force_regression.trace_imported import trace_records
 from levid.identification.trace.force_regression.training_records import Training
+from levid.identification.trace.force_search import weighed_records
+from levid.identification.trace.force_trace.trace_imported import trace_records
 from levid.identification.trace.records.record_from_log import imported_trace_record
 from levid.identification.trace.search_options import SearchOptions
 from levid.model.effects.base import Effect, Placed, Places

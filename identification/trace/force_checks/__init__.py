@@ -1,0 +1,1 @@
+"""Check the effects that a search found: certainty, intervals, and rival explanations."""

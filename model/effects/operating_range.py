@@ -45,8 +45,8 @@ class Extent:
     in forces and motion. beam_rates: largest speed and acceleration of the beam and largest speed
     of the rotor. joints: RMS deviation and speed, and middle, of each relative motion. periods: for
     each DOF, those over its position that the missing force has; rubbing: those that it times the
-    direction has. ripples: for each actuator, those over its position that the missing share of its
-    force has.
+    direction has; scales: those that it has in proportion to the squared speed. ripples: for each
+    actuator, those over its position that the missing share of its force has.
     """
 
     reach: tuple[float, ...]
@@ -70,6 +70,7 @@ class Extent:
     periods: tuple[tuple[float, ...], ...] = ()
     rubbing: tuple[tuple[float, ...], ...] = ()
     ripples: tuple[tuple[float, ...], ...] = ()
+    scales: tuple[tuple[float, ...], ...] = ()
 
     def largest_command(self, coils: Sequence[int]) -> float:
         """Return the largest command of some actuators: inputs can have different units."""

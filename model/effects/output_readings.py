@@ -9,11 +9,14 @@ damping, which act on the true motion, tell the two apart. The lag of the only s
 only actuator if the plant is linear.
 
 The disk of an encoder that is not centred on its shaft reads a sine of the angle too much, once a
-revolution.
+revolution. The signals of an encoder's two tracks are interpolated within each line of its scale:
+an offset or a phase that is not a quarter of a line makes an error with the period of the lines.
 
 Sources: Fleming, *A review of nanometer resolution position sensors*, Sensors and Actuators A 190,
 2013 (nonlinearity, bandwidth, crosstalk); Hagiwara et al., *A method of processing the output
-signal of rotary encoders*, IEEE Trans. Instrumentation and Measurement 41, 1992 (eccentricity).
+signal of rotary encoders*, IEEE Trans. Instrumentation and Measurement 41, 1992 (eccentricity);
+Heydemann, *Determination and correction of quadrature fringe measurement errors in
+interferometers*, Applied Optics 20, 1981 (interpolation).
 """
 
 from __future__ import annotations
@@ -29,13 +32,16 @@ from .coil_timing import late_starts, latest_s
 from .force_units import per_unit, ratio
 from .gravity import RADIANS
 from .lag_and_hysteresis_recursions import lagged_motion
-from .operating_range import EXCURSION, Extent
+from .operating_range import EXCURSION, TRAVEL, Extent
 
 _NEWTON_STEPS = 20
 _LEAST_SLOPE = 0.1
 """Least change of the position per reading in Newton steps: a calibration does not turn back."""
 _FAR = 0.5
 """Largest c r of a curve of the position: at 1 it would have a pole."""
+_TYPICAL_LINES, _WIDER = 5.0, 2.0
+"""Lines of a scale over the travel to start from if none is known; bounds beyond the start
+values."""
 _AMPLITUDES = "excitation at two amplitudes, up to frequencies where inertia counts"
 
 
@@ -95,6 +101,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
                     along_motion=partial(_eccentric_reading, sensor=i, radians=RADIANS[unit]),
                 )
             )
+        found += _periodic(i, dof, unit, extent)
         found += [
             Effect(
                 "reading.lag",
@@ -143,6 +150,31 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             if j != i
         ]
     return found
+
+
+def _periodic(i: int, dof: str, unit: str, extent: Extent) -> list[Effect]:
+    """Return the interpolation error of an encoder; none for a DOF that does not move."""
+    typical = TRAVEL * extent.reach[i] / _TYPICAL_LINES
+    if not typical > 0.0:
+        return []
+    pitches = (extent.scales[i] if extent.scales else ()) or (typical,)
+    low, high = min(pitches) / _WIDER, _WIDER * max(pitches)
+    return [
+        Effect(
+            "reading.periodic",
+            "Interpolation error of the encoder",
+            "sensor_nonlinearity",
+            (dof,),
+            "position = r + a sin(2 pi r / pitch) + b (cos(2 pi r / pitch) - 1), r the reading",
+            (Quantity("a", unit), Quantity("b", unit)),
+            partial(_waves, sensor=i),
+            (Quantity("pitch", unit, low, high, log=True),),
+            tuple((pitch,) for pitch in pitches),
+            absorbed_by="pitch longer than the travel: gain of the sensor",
+            told_apart_by="fast and slow motion: an error of the reading grows with the speed",
+            along_motion=partial(_wavy_reading, sensor=i),
+        )
+    ]
 
 
 def _rational(i: int, dof: str, unit: str, extent: Extent) -> Effect:
@@ -196,6 +228,10 @@ def _eccentric(
 ) -> list[Term]:
     angle = radians * signals.q[:, sensor]
     return [on_sensor(signals, sensor, -x) for x in (np.sin(angle), np.cos(angle) - 1.0)]
+
+
+def _waves(signals: Signals, shape: Sequence[float], *, sensor: int) -> list[Term]:
+    return _eccentric(signals, (), sensor=sensor, radians=2.0 * np.pi / shape[0])
 
 
 def _ahead(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
@@ -256,6 +292,13 @@ def _eccentric_reading(
         slope = 1.0 + radians * (a * cosine - b * sine)
         r = r - (r + a * sine + b * (cosine - 1.0) - h) / np.maximum(slope, _LEAST_SLOPE)
     return on_sensor(signals, sensor, r - h)
+
+
+def _wavy_reading(
+    signals: Signals, shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int
+) -> Term:
+    radians = 2.0 * np.pi / shape[0]
+    return _eccentric_reading(signals, (), amplitudes, sensor=sensor, radians=radians)
 
 
 def _lagged_reading(

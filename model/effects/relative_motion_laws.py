@@ -1,7 +1,8 @@
 """Laws of friction, backlash, stiffness and damping between two DOF: of couplings, gears, belts.
 
 They are those of a single DOF, of the relative motion that a declared spring or damper sees; the
-force acts on both ends.
+force acts on both ends. A linear spring or damper is among them: an entry of K or D with the wrong
+sign leaves the declared one no value that fits.
 """
 
 from __future__ import annotations
@@ -12,9 +13,19 @@ from functools import partial
 
 import numpy as np
 
-from . import backlash, damping, end_stop, friction, friction_leveling_off, stiffness
+from . import (
+    backlash,
+    damping,
+    end_stop,
+    friction,
+    friction_leveling_off,
+    linear_entries,
+    stiffness,
+)
 from .base import Build, Effect, Joint, Places, Signals, Term
 from .operating_range import Extent
+
+_LINEAR = ("linear.stiffness", "linear.damping")
 
 
 def effects(places: Places, extent: Extent) -> list[Effect]:
@@ -37,6 +48,7 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
             *friction_leveling_off.effects(alone, covered),
             *backlash.effects(alone, covered),
             *end_stop.effects(alone, covered),
+            *(e for e in linear_entries.effects(alone) if e.key in _LINEAR),
         ]
         found += [_on_joint(e, joint, alone) for e in own if e.where == (joint.name,)]
     return found

@@ -219,6 +219,7 @@ _CLAUSES = {
     "actuator.": "the force of {at} is not proportional to its command",
     "reading.gain": "the reading of {at} is too {error:large|small}, by {error:%} of it",
     "reading.eccentric": "the encoder of {at} is eccentric",
+    "reading.periodic": "the encoder of {at} has an error in each line of its scale, every {pitch}",
     "reading.lag": "the reading of {at} lags by {lag}",
     "reading.delay": "the reading of {at} is {delay} late",
     "reading.crosstalk": "one reading has a part of the other ({at})",

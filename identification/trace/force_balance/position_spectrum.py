@@ -33,12 +33,14 @@ class Periods:
     """Periods of the strongest lines over the position, in its unit, strongest first.
 
     cogging: for each DOF, of the missing force; rubbing: of its part that has the direction's sign.
-    ripples: for each actuator, of the part that is in proportion to its force.
+    ripples: for each actuator, of the part that is in proportion to its force. scales: for each
+    DOF, of the part that is in proportion to the squared speed.
     """
 
     cogging: tuple[tuple[float, ...], ...]
     rubbing: tuple[tuple[float, ...], ...]
     ripples: tuple[tuple[float, ...], ...]
+    scales: tuple[tuple[float, ...], ...]
 
 
 def position_periods(point: ForceModel, records: Sequence[ForceRecord], limit_hz: float) -> Periods:
@@ -62,6 +64,7 @@ def position_periods(point: ForceModel, records: Sequence[ForceRecord], limit_hz
         tuple(lines(*axis, whole) for axis in axes),
         tuple(lines(*axis, np.sign(qd[:, axis[1]])) for axis in axes),
         tuple(ripples),
+        tuple(lines(*axis, qd[:, axis[1]] ** 2) for axis in axes),
     )
 
 

@@ -102,8 +102,8 @@ class Certainty:
         """
         base = numbers(found.point)
         richer = _with_what_came_near(found, training, options)
+        members = _with_another_member(found, training)
         moved = [numbers(model)[: len(base)] - base for model in richer]
-        moved += _with_another_member(found, training)
         if unbiased is None or not unbiased.large:
             point, instruments = found.point, None
             moved += [numbers(fit_numbers(other, point)) - base for other in others]
@@ -112,7 +112,8 @@ class Certainty:
         else:
             point, instruments = unbiased.point, unbiased.instruments
             moved += [numbers(other) - numbers(point) for other in unbiased.others]
-        uncertainty = Uncertainty.of(point, training, moved, instruments)
+        of_point = Uncertainty.of(point, training, moved, instruments)
+        uncertainty = of_point.with_more(members)
         whole = Beside.of(found.point, training)
         told = options.told_from_model
         noisier = others[-1].records
@@ -124,8 +125,11 @@ class Certainty:
             noise = noise_with_laws(found.point, part.records, noisier)
             between.append(FittedRows.of(found.point, part, own, noise, told))
         force = _rms([r.acting_force(found.point) for r in fitted])
-        force_errors = relative_force_errors(point, fitted, uncertainty)
+        force_errors = relative_force_errors(point, fitted, of_point)
         left_share, takes = _left_share(found, training, rows.noise, options)
+        impossible = impossible_matrices(
+            with_numbers(found, point), declared, training, of_point, options
+        )
         return cls(
             with_numbers(found, point),
             uncertainty.standard_errors(),
@@ -136,10 +140,8 @@ class Certainty:
             between[0] if between else None,
             left_share,
             takes,
-            _leaning(found, training, rows.noise, options, left_share, force_errors),
-            impossible_matrices(
-                with_numbers(found, point), declared, training, uncertainty, options
-            ),
+            _leaning(found, training, rows.noise, options, left_share, force_errors, impossible),
+            impossible,
         )
 
     def says_nothing(self, options: SearchOptions) -> str | None:
@@ -298,6 +300,7 @@ def _leaning(
     options: SearchOptions,
     left_share: Sequence[float],
     force_errors: Sequence[Array],
+    impossible: Mapping[str, tuple[str, ...]],
 ) -> tuple[float, ...]:
     """Return for each effect what `_left_share` says of the model without the effects in doubt.
 
@@ -313,7 +316,9 @@ def _leaning(
     doubtful = {
         one
         for one, share in shares.items()
-        if share > options.least_gain or not is_told(errors[one], options)
+        if share > options.least_gain
+        or not is_told(errors[one], options)
+        or impossible.get(one, ())
     }
     leaning = dict.fromkeys(shares, 0.0)
     while doubtful and len(doubtful) < len(shares):

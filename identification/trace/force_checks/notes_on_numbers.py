@@ -1,19 +1,43 @@
-"""Say what is to be known of the fitted numbers beside their intervals: limits, textbook forms."""
+"""Write notes on fitted numbers: limits of their ranges, terms that vanish, textbook forms."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..force_balance.force_record import ForceModel
 from ..force_balance.free_numbers import at_limits
+from ..search_options import SearchOptions
+
+Array = NDArray[np.float64]
 
 
-def notes_on_numbers(point: ForceModel, impossible: Sequence[str]) -> tuple[str, ...]:
+def notes_on_numbers(
+    point: ForceModel, errors: Array, impossible: Sequence[str], options: SearchOptions
+) -> tuple[str, ...]:
     """Return notes on the numbers of a fitted model.
 
-    impossible: what of it cannot be, without any effect, as `impossible_matrices` says.
+    errors: standard errors of all numbers, the parameters first. impossible: what is physically
+    impossible in a model without effects, as `impossible_matrices` says.
     """
-    return (*_at_limits(point), *_held(point), *_impossible(impossible))
+    vanished = _vanished(point, errors, options)
+    return (*_at_limits(point), *vanished, *_held(point), *_impossible(impossible))
+
+
+def _vanished(point: ForceModel, errors: Array, options: SearchOptions) -> tuple[str, ...]:
+    """Return a note for each parameter that is next to nothing of its declared value."""
+    free, most = point.parameters, options.standard_errors
+    return tuple(
+        f"{name} is next to nothing, and was declared as {declared:.4g}: check where it stands in "
+        "M, D, K and B, and with which signs"
+        + ("; an effect that was found may take its place" if point.placed else "")
+        for name, value, error, declared in zip(
+            free.names, point.values, errors, free.prior_mean, strict=False
+        )
+        if abs(value) + most * error < options.alike * abs(declared)
+    )
 
 
 def _at_limits(point: ForceModel) -> tuple[str, ...]:

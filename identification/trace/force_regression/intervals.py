@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,10 @@ class Uncertainty:
         influences = Influences.of(point, training, instruments)
         changes = np.array(moved).reshape(len(moved), len(influences.silent))
         return cls(influences.covariance(), changes, influences.silent)
+
+    def with_more(self, moved: Sequence[Array]) -> Uncertainty:
+        """Return the uncertainty with changes of all numbers (K,) by further fits."""
+        return replace(self, moved=np.vstack([self.moved, *moved]))
 
     def standard_errors(self, gradients: Array | None = None) -> Array:
         """Return the standard error of each number (K,), or of what has the gradients (., K).

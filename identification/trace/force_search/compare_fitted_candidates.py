@@ -74,7 +74,9 @@ def fitted_rivals(
         same = {key for f in alike if _acts_last(f) for key in f.rated.placed.effect.same_if_linear}
         known = [id(f) for f in alike]
         alike += [f for f in fitted if f.rated.placed.effect.key in same and id(f) not in known]
-    # What is no law in the form that it needs explains nothing that a law explains as well.
+    # A candidate that takes the place of an inertia, or is no law in the form that it needs, does
+    # not explain what another one explains as well.
+    alike = [f for f in alike if has_inertia(f.point, beside, options)] or alike
     alike = [f for f in alike if f.is_law] or alike
     support = _support([f for f in fitted if f.is_law] or fitted, ranking, options)
     containing = [f.rated for f in alike[1:] if _richer(f, alike[0], inputs)]
@@ -92,6 +94,19 @@ def fitted_rivals(
     rest = [f for f in fitted if f is not alike[0]]
     told = [replace(f.rated, support=support(f.rated), contenders=contenders) for f in rest]
     return [(best, alike[0].point), *zip(told, (f.point for f in rest), strict=True)]
+
+
+def has_inertia(point: ForceModel, beside: ForceModel, options: SearchOptions) -> bool:
+    """Return whether a fitted model still has inertia where the model `beside` it has some.
+
+    The inertia in each direction of motion must be more than the relative error of a right law.
+    """
+    own, other = (np.asarray(p.model.at().M) for p in (point, beside))
+    size = np.sqrt(np.abs(np.diag(other)))
+    if not np.all(size > 0.0):
+        return True
+    one, before = (np.linalg.eigvalsh(0.5 * (M + M.T) / np.outer(size, size)) for M in (own, other))
+    return bool(before[0] <= 0.0 or one[0] > options.alike * before[0])
 
 
 def _acts_last(one: _Fitted) -> bool:
@@ -229,6 +244,21 @@ def _in_best_order(
     if plain is not None:
         begins.append(plain.freed())
     return min((fit_numbers(training, begin, least) for begin in begins), key=training.cost)
+
+
+def is_as_good(
+    one: ForceModel,
+    other: ForceModel,
+    rest: ForceModel,
+    rated: Rated,
+    training: Training,
+    options: SearchOptions,
+) -> bool:
+    """Return whether a fitted model is not worse than another one, each with its last effect beside
+    those of the model `rest`. `rated`: the rating of the other one's last effect."""
+    noise = training.noise(rest)
+    mine, best = (_Fitted.at(p, rated, training, noise, options) for p in (one, other))
+    return not _worse(mine, best, training.blocks, options)
 
 
 def richer_matters(

@@ -41,6 +41,7 @@ from ..force_checks.simpler_laws import with_plain_laws, with_simpler_laws
 from ..force_regression.candidate_fit import lacked
 from ..force_regression.training_records import Training, missing_share
 from ..force_search.free_form_of_law_signal import curves_beside_laws
+from ..force_search.opposite_gain import with_opposite_gains
 from ..force_search.rated_candidate import Rated
 from ..force_search.scale_of_equations import (
     freed_if_told,
@@ -207,9 +208,8 @@ def _traced(
         searched, training, found, options.most_effects, start.parameters, options
     )
     progress("comparing rivals", options.share_done(options.most_effects))
-    found = with_simpler_laws(
-        compared(found, table.named, training, options), table.named, training, options
-    )
+    for settled in (compared, with_simpler_laws, with_opposite_gains):
+        found = settled(found, table.named, training, options)
     progress("intervals", options.share_done(options.most_effects))
     last = judged(with_plain_laws(found, training, options), training)
     while (empty := last.says_nothing(options)) is not None:
@@ -232,7 +232,9 @@ def _traced(
         last.leaning, last.impossible, exchange, outputs, curves, sd, stated, limit_hz, fitted,
         reported, (
             *notes, *at_rest, *notes_on_held(found.point, held_for), *table.notes,
-            *notes_on_numbers(found.point, last.impossible.get("", ())),
+            *notes_on_numbers(
+                found.point, last.errors, last.impossible.get("", ()), options
+            ),
         ), options,
     )  # fmt: skip
 
@@ -282,6 +284,7 @@ def _with_lines(
         periods=periods.cogging,
         rubbing=periods.rubbing,
         ripples=periods.ripples,
+        scales=periods.scales,
         tones_hz=missing_lines(declared, fitted),
     )
 

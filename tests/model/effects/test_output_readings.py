@@ -33,6 +33,7 @@ NUMBERS = {
     "reading.lag": ((0.02,), ()),
     "reading.delay": ((0.004,), (0.004,)),
     "reading.crosstalk": ((0.1,), ()),
+    "reading.periodic": ((3e-3, -2e-3), (0.1,)),
     "reading.eccentric": ((0.02, -0.01), ()),  # of the angle
 }
 

@@ -40,3 +40,12 @@ def test_a_ripple_is_a_line_of_what_is_in_proportion_to_the_command() -> None:
     force = u * (1.0 + 0.2 * np.sin(2 * np.pi * q / 0.9 + 1.0)) + 0.5 * rng.standard_normal(len(q))
     first, *_ = position_spectrum._lines(q, np.gradient(q, 2e-3), force, u, 50.0)
     assert np.ptp(q) / first == pytest.approx(np.ptp(q) / 0.9, abs=0.26)
+
+
+def test_an_error_of_a_scale_is_a_line_of_what_is_in_proportion_to_the_squared_speed() -> None:
+    rng, t = np.random.default_rng(6), np.arange(20_000) * 2e-3
+    q = 5.0 * np.sin(0.7 * t)
+    qd = np.gradient(q, 2e-3)
+    force = qd**2 * np.sin(2 * np.pi * q / 0.9 + 1.0) + 5.0 * rng.standard_normal(len(q))
+    first, *_ = position_spectrum._lines(q, qd, force, qd**2, 50.0)
+    assert np.ptp(q) / first == pytest.approx(np.ptp(q) / 0.9, abs=0.26)

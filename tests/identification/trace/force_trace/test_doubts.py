@@ -232,14 +232,18 @@ def test_a_law_that_is_right_only_beside_one_in_doubt_is_in_doubt(monkeypatch) -
     training: Any = None
     found, told = Searched(point, rated, (), ()), [np.array([0.01])] * 3
 
-    def leaning(shares: tuple[float, ...]) -> tuple[float, ...]:
+    def leaning(
+        shares: tuple[float, ...], impossible: dict[str, tuple[str, ...]] | None = None
+    ) -> tuple[float, ...]:
         return certainty_of_effects._leaning(
-            found, training, np.zeros(1), SearchOptions(), shares, told
+            found, training, np.zeros(1), SearchOptions(), shares, told, impossible or {}
         )
 
     assert leaning((0.05, 0.21, 0.0)) == (0.75, 0.0, 0.0)
     assert asked == [["actuator_lag", "damping.quadratic"], ["damping.quadratic"]]
     assert leaning((0.05, 0.05, 0.0)) == (0.0, 0.0, 0.0)  # nothing is in doubt
+    no_inertia = {mass.effect.identity: ("the inertia may be zero",)}
+    assert leaning((0.05, 0.05, 0.0), no_inertia) == (0.75, 0.0, 0.0)
     law = replace(law_of("actuator_lag"), leaning=0.75)
     assert law.doubts == (
         "without the other uncertain effects, it leaves 75 % of the squared missing force",

@@ -15,6 +15,9 @@ from ..plotting.style import engineering
 
 Parameters = Mapping[str, EffectParameter]
 
+_FEW = 0.5
+"""Share of a reading above which a factor is easier to read than per cent."""
+
 
 def effect_in_words(effect: Effect, parameters: Parameters) -> str:
     """Return what an effect does as a clause without capital and full stop.
@@ -27,10 +30,20 @@ def effect_in_words(effect: Effect, parameters: Parameters) -> str:
         if effect.key.startswith(start):
             if start == "coil_gain" and parameters["gain"].value < -1.0:
                 return f"the force of {words['at']} has the wrong sign"
+            if start == "reading.gain" and abs(parameters["error"].value) > _FEW:
+                return f"the reading of {words['at']} is {_times(parameters['error'])} the position"
             if start == "friction.along_position" and _no_period(effect, parameters):
                 return f"the dry friction of {words['at']} changes along the position"
             return text.format_map(words)
     return effect.name
+
+
+def _times(error: EffectParameter) -> str:
+    """Return the reading over the position, as '57.30 times', from the error of a gain."""
+    part = 1.0 - error.value
+    half = 0.0 if error.se is None else SURE_95 * error.se
+    minus = "" if part > 0.0 else "minus "
+    return f"{minus}{_digits(abs(1.0 / part), half / part**2)} times"
 
 
 def _no_period(effect: Effect, parameters: Parameters) -> bool:

@@ -80,6 +80,20 @@ def test_clauses_of_the_rig(
     assert effect_in_words(effect, parameters(effect, value, se)) == text
 
 
+@pytest.mark.parametrize(
+    ("error", "se", "text"),
+    [
+        (0.04, 1e-4, "the reading of q is too large, by 4.00 % of it"),
+        (1.0 - 1.0 / 57.3, 1e-6, "the reading of q is 57.300 times the position"),
+        (-999.0, 0.1, "the reading of q is 0.0010000 times the position"),
+        (2.0, None, "the reading of q is minus 1 times the position"),
+    ],
+)
+def test_a_large_gain_of_a_reading_is_a_factor(error: float, se: float | None, text: str) -> None:
+    effect = find("reading.gain", ("q",), motor())
+    assert effect_in_words(effect, parameters(effect, error, se)) == text
+
+
 def test_a_position_has_its_sign() -> None:
     effect = find("stiffness.stop.below", ("q",), motor())
     text = effect_in_words(effect, parameters(effect, -0.02, 1e-4))

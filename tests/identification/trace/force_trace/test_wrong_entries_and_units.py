@@ -88,7 +88,8 @@ def test_of_two_outputs_a_large_gain_may_be_that_of_either() -> None:
 
 def test_a_large_gain_is_told_where_the_other_equation_has_a_declared_number() -> None:
     """A stiffness that is not free says which of the outputs is wrong."""
-    fixed = TABLE.replace("k1: {value: 1700, unit: N/m, min: 0}", "k1: {value: 1500, unit: N/m, fixed: true}")
+    k1 = "k1: {value: 1700, unit: N/m, min: 0}"
+    fixed = TABLE.replace(k1, "k1: {value: 1500, unit: N/m, fixed: true}")
     trace = traced(fixed, (1.0, 57.3))
     (law,) = force_outcome(trace).laws
     assert law.placed.effect.identity == "reading.gain@y"

@@ -23,7 +23,10 @@ _ALL = "same gain for all coils: mass, damping and stiffness by the same factor"
 
 
 def effects(places: Places) -> list[Effect]:
-    """Return gain and height-dependent force constant of every coil, the latter also for all."""
+    """Return gain and height-dependent force constant of every coil, the latter also for all.
+
+    The rig has its scale of all coils elsewhere; other plants have the gain of all actuators here.
+    """
     found = []
     for c in range(places.coils):
         where = (places.actuator(c),)
@@ -43,6 +46,22 @@ def effects(places: Places) -> list[Effect]:
         )
         if _has_height(places):
             found += [_constant(places, (c,), power) for power in (1, 2)]
+    if not places.beam and places.coils > 1 and places.one_command_unit:
+        every = tuple(range(places.coils))
+        found.append(
+            Effect(
+                "coil_gain.all",
+                places.worded("Gain of all coils"),
+                "coil_gain",
+                tuple(places.actuator(c) for c in every),
+                "force = (1 + gain) F",
+                (Quantity("gain", "1", -_MOST_GAIN, _MOST_GAIN),),
+                partial(_times_height, coils=every, power=0),
+                absorbed_by="free parameters of the model, all of them together",
+                told_apart_by=_KNOWN,
+                linear=True,
+            )
+        )
     one_unit = len({places.motion_unit(c) for c in range(places.coils)}) == 1
     if _has_height(places) and places.coils > 1 and one_unit:
         found += [_constant(places, tuple(range(places.coils)), power) for power in (1, 2)]

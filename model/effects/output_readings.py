@@ -49,24 +49,11 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     """Return gain, nonlinearity, lag, delay and crosstalk of every sensor; empty for the rig."""
     if places.beam or places.sensors != len(places.dof):
         return []
-    found, single = [], places.coils == len(places.dof) == 1
+    found, single = list[Effect](), places.coils == len(places.dof) == 1
+    if places.sensors > 1 and len(set(places.dof_units)) == 1:
+        found.append(_gain(places, "reading.gain.all", "Gain of all sensors", slice(None)))
     for i, (dof, unit) in enumerate(zip(places.dof, places.dof_units, strict=True)):
-        found.append(
-            Effect(
-                "reading.gain",
-                "Gain of the sensor",
-                "sensor_gain",
-                (dof,),
-                "position = r - error r, r the reading",
-                (Quantity("error", "1"),),
-                partial(_too_much, sensor=i),
-                absorbed_by="free entries of the matrices at the DOF, all of them together",
-                told_apart_by="a known position, such as a stop",
-                along_motion=partial(_scaled_reading, sensor=i),
-                linear=True,
-                exact=True,
-            )
-        )
+        found.append(_gain(places, "reading.gain", "Gain of the sensor", slice(i, i + 1)))
         for name, word, amplitude, power in (
             ("quadratic", "Quadratic", "a", 2),
             ("cubic", "Cubic", "b", 3),
@@ -152,6 +139,23 @@ def effects(places: Places, extent: Extent) -> list[Effect]:
     return found
 
 
+def _gain(places: Places, key: str, title: str, sensors: slice) -> Effect:
+    return Effect(
+        key,
+        title,
+        "sensor_gain",
+        places.dof[sensors],
+        "position = r - error r, r the reading",
+        (Quantity("error", "1"),),
+        partial(_too_much, sensors=sensors),
+        absorbed_by="free entries of the matrices at the DOF, all of them together",
+        told_apart_by="a known position, such as a stop",
+        along_motion=partial(_scaled_reading, sensors=sensors),
+        linear=True,
+        exact=True,
+    )
+
+
 def _periodic(i: int, dof: str, unit: str, extent: Extent) -> list[Effect]:
     """Return the interpolation error of an encoder; none for a DOF that does not move."""
     typical = TRAVEL * extent.reach[i] / _TYPICAL_LINES
@@ -204,8 +208,15 @@ def _straight(_shape: Sequence[float]) -> tuple[float, ...]:
 # The position less the reading, which a force balance subtracts as an error of the reading.
 
 
-def _too_much(signals: Signals, _shape: Sequence[float], *, sensor: int) -> list[Term]:
-    return [on_sensor(signals, sensor, signals.q[:, sensor])]
+def _too_much(signals: Signals, _shape: Sequence[float], *, sensors: slice) -> list[Term]:
+    return [Term(gap=_only(signals.q, sensors))]
+
+
+def _only(q: Array, sensors: slice) -> Array:
+    """Return positions (N, n) with zeros for all sensors but some."""
+    found = np.zeros_like(q)
+    found[:, sensors] = q[:, sensors]
+    return found
 
 
 def _power(signals: Signals, _shape: Sequence[float], *, sensor: int, power: int) -> list[Term]:
@@ -251,10 +262,10 @@ def _part_of(signals: Signals, _shape: Sequence[float], *, sensor: int, other: i
 
 
 def _scaled_reading(
-    signals: Signals, _shape: Sequence[float], amplitudes: Sequence[float], *, sensor: int
+    signals: Signals, _shape: Sequence[float], amplitudes: Sequence[float], *, sensors: slice
 ) -> Term:
     error = amplitudes[0]
-    return on_sensor(signals, sensor, error / (1.0 - error) * signals.q[:, sensor])
+    return Term(gap=error / (1.0 - error) * _only(signals.q, sensors))
 
 
 def _bent_reading(

@@ -230,6 +230,7 @@ _CLAUSES = {
     "actuator.cubic": "a part of the force of {at} is the cube of its command",
     "actuator.hysteresis": "the force of {at} depends on where its command came from (hysteresis)",
     "actuator.": "the force of {at} is not proportional to its command",
+    "reading.gain.all": "the readings of {at} are too {error:large|small}, by {error:%} of them",
     "reading.gain": "the reading of {at} is too {error:large|small}, by {error:%} of it",
     "reading.eccentric": "the encoder of {at} is eccentric",
     "reading.periodic": "the encoder of {at} has an error in each line of its scale, every {pitch}",

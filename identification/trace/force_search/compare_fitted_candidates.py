@@ -13,6 +13,7 @@ from ....model.effects.base import Effect, Placed
 from ...rounding import TINY
 from ..force_balance.force_record import ForceModel
 from ..force_balance.free_numbers import amplitudes_of, at_limits, numbers_of
+from ..force_regression.candidate_fit import Beside, taken_at, told_share
 from ..force_regression.gauss_newton_fit import fit_numbers
 from ..force_regression.held_out_gain import Blocks, Columns, block_sums, bounded, error_of_mean
 from ..force_regression.training_records import Training, missing_share
@@ -78,6 +79,7 @@ def fitted_rivals(
     # not explain what another one explains as well.
     alike = [f for f in alike if has_inertia(f.point, beside, options)] or alike
     alike = [f for f in alike if f.is_law] or alike
+    alike = [f for f in alike if not _as_linear(f, alike, training, options)]
     support = _support([f for f in fitted if f.is_law] or fitted, ranking, options)
     containing = [f.rated for f in alike[1:] if _richer(f, alike[0], inputs)]
     named = [replace(f.rated, support=support(f.rated)) for f in alike]
@@ -107,6 +109,23 @@ def has_inertia(point: ForceModel, beside: ForceModel, options: SearchOptions) -
         return True
     one, before = (np.linalg.eigvalsh(0.5 * (M + M.T) / np.outer(size, size)) for M in (own, other))
     return bool(before[0] <= 0.0 or one[0] > options.alike * before[0])
+
+
+def _as_linear(
+    one: _Fitted, others: Sequence[_Fitted], training: Training, options: SearchOptions
+) -> bool:
+    """Return whether the force of a candidate is that of a linear law at its place, in these
+    records: a dead zone that is wider than the commands is a gain."""
+    own = one.last
+    linear = [
+        f.point for f in others if f.last.effect.linear and f.last.effect.where == own.effect.where
+    ]
+    if own.effect.linear:
+        return False
+    told = told_share(own.effect, options)
+    return any(
+        taken_at(Beside.of(p, training), own.effect, own.shape, told) is None for p in linear
+    )
 
 
 def _acts_last(one: _Fitted) -> bool:

@@ -72,7 +72,7 @@ def test_a_model_within_its_noise_of_the_outputs_is_said_to_be_so() -> None:
     assert outcome.lacks_something
     assert imported_answer(outcome).endswith(
         "the model without effects is within "
-        f"{outcome.outputs:.2g} % of them; state noise_sd in the signals file."
+        f"{outcome.check.outputs:.2g} % of them; state noise_sd in the signals file."
     )
 
 

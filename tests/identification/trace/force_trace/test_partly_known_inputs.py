@@ -137,6 +137,7 @@ def test_what_would_leave_a_scale_free_is_no_candidate() -> None:
     linear = [e for e in effects_of(found).values() if e.linear]
     kept = without_scales(point, linear, training, TOLD)
     assert {e.identity for e in linear} - {e.identity for e in kept} == {
+        "coil_gain.all@vp+vy",
         "coil_gain@vp",
         "coil_gain@vy",
         "linear.input@pitch+vp",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +26,17 @@ def joints(
 
     A parameter of a spring between two DOF enters K as p a b^T: b is the motion that stretches it,
     a the DOF on which its force acts. A matrix of rank one has one such spring. Springs of one DOF
-    that act on it alone are no joints.
+    that act on it alone are no joints. A matrix of higher rank, as of springs that share a
+    parameter, has a spring between each two DOF of one unit that it couples and no other does.
     """
     found: dict[str, Joint] = {}
+    several = []
     for matrix in _matrices(model):
         _, sizes, Vt = np.linalg.svd(matrix)
-        if sizes[0] == 0.0 or sizes[1] > _ROUNDING * sizes[0]:
+        if sizes[0] == 0.0:
+            continue
+        if sizes[1] > _ROUNDING * sizes[0]:
+            several.append(matrix)
             continue
         motion = _without_rounding(Vt[0])
         first = int(np.flatnonzero(motion)[0])
@@ -43,7 +49,28 @@ def joints(
         pull = sign * pull / abs(pull[first] or float(np.abs(pull).max()))
         name = _name(model.dof, motion, pull)
         found.setdefault(name, Joint(name, motion, pull, units[first], force_units[first]))
+    alone = tuple(found.values())
+    for i, j, sign in _couplings(several, units, alone):
+        motion = np.zeros(len(units))
+        motion[[i, j]] = 1.0, sign
+        name = _name(model.dof, motion, motion)
+        found.setdefault(name, Joint(name, motion, motion, units[i], force_units[i]))
     return tuple(found.values())
+
+
+def _couplings(
+    matrices: Iterable[Array], units: tuple[str, ...], known: Iterable[Joint]
+) -> Iterator[tuple[int, int, float]]:
+    """Yield the pairs of DOF of one unit that symmetric entries couple, other than known joints do,
+    and the sign of the second one's motion in what stretches the spring."""
+    joined = [np.flatnonzero(j.motion) for j in known]
+    for matrix in matrices:
+        most = _ROUNDING * float(np.abs(matrix).max())
+        for i, j in combinations(range(len(units)), 2):
+            entry = float(matrix[i, j])
+            symmetric = abs(entry - float(matrix[j, i])) <= most < abs(entry)
+            if symmetric and units[i] == units[j] and not any({i, j} <= {*k} for k in joined):
+                yield i, j, float(np.sign(entry))
 
 
 def _matrices(model: DeclaredModel) -> Iterator[Array]:

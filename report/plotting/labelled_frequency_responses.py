@@ -130,9 +130,10 @@ _SYMBOLS = {"psi": "ψ", "theta": "θ", "tau": "τ", "v": "v", "phi": "φ"}
 def symbol(name: str) -> str:
     """Return a signal's name with Greek letters, such as τψ for tau_psi; other names unchanged."""
     parts = name.split("_")
-    if all(part in _SYMBOLS or len(part) == 1 for part in parts):
+    greek = any(_SYMBOLS.get(part, part) != part for part in parts)
+    if greek and all(part in _SYMBOLS or len(part) == 1 for part in parts):
         return "".join(_SYMBOLS.get(part, part) for part in parts)
-    return name.replace("_", " ")
+    return name
 
 
 def inside(curve: Curve, shown: Range, most: int = _MOST_POINTS) -> Curve:

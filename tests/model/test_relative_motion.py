@@ -55,6 +55,19 @@ def test_spring_between_two_dof_is_a_joint(
     assert (joint.unit, joint.force_unit) == ("rad", "N m")
 
 
+def test_springs_that_share_a_parameter_or_are_numbers_are_joints() -> None:
+    """A chain of three with one stiffness: no matrix of it has rank one."""
+    chain = HEAD.replace("name: b, unit: rad}]", "name: b, unit: rad}, {name: x, unit: m}]")
+    chain = chain.replace("[[j, 0], [0, j]]", "[[j, 0, 0], [0, j, 0], [0, 0, j]]")
+    chain = chain.replace("[[1], [0]]", "[[1], [0], [0]]")
+    chain += "D: [[0, 0, 0], [0, 0, 0], [0, 0, 0]]\n"
+    chain += "K: [[2*k, -k, 7], [-k, 2*k, 0], [7, 0, 5]]\n"
+    found = joints(declared_model(config(chain)), ("rad", "rad", "m"), ("N m", "1", "1"))
+    # A number between an angle and a length is no spring of one of the two.
+    assert [j.name for j in found] == ["a - b"]
+    np.testing.assert_array_equal(found[0].pull, [1.0, -1.0, 0.0])
+
+
 def test_springs_of_single_dof_are_no_joints() -> None:
     assert joints(declared_model(config(APART)), ("rad", "rad"), ("N m", "1")) == ()
 

@@ -245,21 +245,20 @@ def _last_is_told(point: ForceModel, training: Training, options: SearchOptions)
 def _with_another_member(found: Searched, training: Training) -> list[Array]:
     """Return the changes of all numbers (K,) by each alternative in the place of its effect.
 
-    Records that do not tell an effect from another one do not tell what the model's numbers are
-    with the other one. Those of the effects are no numbers of it, and do not change.
+    Records that do not separate an effect from another one do not determine the model's numbers and
+    those of other effects beyond what both give. The replaced effect has no number in the other
+    model, so its own do not change.
     """
-    point, count = found.point, len(found.point.values)
+    point, own = found.point, numbers(found.point)
     changes = []
     for rated in found.rated:
         for other in rated.alternatives:
             identity = rated.placed.effect.identity
-            placed = tuple(
-                other.placed if p.effect.identity == identity else p for p in point.placed
-            )
+            at = next(i for i, p in enumerate(point.placed) if p.effect.identity == identity)
+            placed = (*point.placed[:at], other.placed, *point.placed[at + 1 :])
             fitted = fit_numbers(training, replace(point, placed=placed))
-            change = np.zeros_like(numbers(point))
-            change[:count] = fitted.values - point.values
-            changes.append(change)
+            kept = (*fitted.placed[:at], point.placed[at], *fitted.placed[at + 1 :])
+            changes.append(numbers(replace(fitted, placed=kept)) - own)
     return changes
 
 

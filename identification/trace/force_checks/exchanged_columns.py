@@ -1,4 +1,4 @@
-"""Ask whether columns of the records are exchanged or have another sign than the model says.
+"""Check whether columns of the records are exchanged or have another sign than the model says.
 
 Two sensors or actuators whose plugs are exchanged leave equations that miss most of their force.
 Couplings of all kinds explain a part of it, one after the other, and none of them is there: one
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Exchange:
-    """Columns that the records may have in another order or with another sign.
+    """Columns that the records may have in another order, with another sign or in another unit.
 
     words: "x and y are exchanged". before, after (n,): missing force over the acting one that the
     model without found effects leaves of the columns as they are, and then.
@@ -66,11 +66,14 @@ def explaining_exchange(
         for words, changed, order in _exchanged(records)
     ]
     best = min(every, key=lambda e: float(e.after.max()))
-    left = float(best.after.max())
-    explains = (
-        left**2 < options.least_gain * misses and left - float(found.max()) < options.least_force
-    )
-    return best if explains else None
+    return best if explains(best.after, declared, found, options) else None
+
+
+def explains(left: Array, declared: Array, found: Array, options: SearchOptions) -> bool:
+    """Return whether a model explains nearly all that the declared one misses, and as much as one
+    with effects: left, declared, found (n,) are the missing forces over the acting one."""
+    most, misses = float(left.max()), float(declared.max()) ** 2
+    return most**2 < options.least_gain * misses and most - float(found.max()) < options.least_force
 
 
 def _exchanged(

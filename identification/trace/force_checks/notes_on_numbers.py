@@ -27,16 +27,24 @@ def notes_on_numbers(
 
 
 def _vanished(point: ForceModel, errors: Array, options: SearchOptions) -> tuple[str, ...]:
-    """Return a note for each parameter that is next to nothing of its declared value."""
+    """Return a note on the parameters that are next to nothing of their declared values."""
     free, most = point.parameters, options.standard_errors
-    return tuple(
-        f"{name} is next to nothing, and was declared as {declared:.4g}: check where it stands in "
-        "M, D, K and B, and with which signs"
-        + ("; an effect that was found may take its place" if point.placed else "")
+    gone = [
+        f"{name} (declared {declared:.4g})"
         for name, value, error, declared in zip(
             free.names, point.values, errors, free.prior_mean, strict=False
         )
         if abs(value) + most * error < options.alike * abs(declared)
+    ]
+    if not gone:
+        return ()
+    if len(gone) == len(free.names) > 1:
+        return ("all parameters are far below their declared values: check the units of columns",)
+    verb, own = ("is", "it stands") if len(gone) == 1 else ("are", "they stand")
+    taken = "; an effect that was found may take the place" if point.placed else ""
+    return (
+        f"{', '.join(gone)} {verb} next to nothing: check where {own} in M, D, K and B, and with "
+        f"which signs{taken}",
     )
 
 

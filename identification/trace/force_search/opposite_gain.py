@@ -39,7 +39,7 @@ def with_opposite_gains(
         named = {r.placed.effect.where for r in rated.alternatives}
         if own.effect.key not in _FACTOR_LESS_ONE or len(others) != 1 or others[0].where in named:
             continue
-        other = _opposite(found.point, own, others[0], training)
+        other = opposite_gain(found.point, own, others[0], training)
         if other is None:
             continue
         point = _last(found.point, own)
@@ -49,7 +49,7 @@ def with_opposite_gains(
         half = 0.5 * rated.support
         mine = replace(rated, placed=own, support=half)
         rival = replace(rated, placed=other.placed[-1], support=half, alternatives=())
-        if _distance(other) < _distance(point):
+        if distance_from_declared(other) < distance_from_declared(point):
             alone = replace(mine, alternatives=())
             mine, point = replace(rival, alternatives=(*rated.alternatives, alone)), other
         else:
@@ -58,7 +58,7 @@ def with_opposite_gains(
     return found
 
 
-def _opposite(
+def opposite_gain(
     point: ForceModel, own: Placed, other: Effect, training: Training
 ) -> ForceModel | None:
     """Return the fitted model with the other gain in the place of a found one, as its last effect;
@@ -86,7 +86,7 @@ def _last(point: ForceModel, own: Placed) -> ForceModel:
     return replace(point, placed=(*(p for p in point.placed if p is not own), own))
 
 
-def _distance(point: ForceModel) -> float:
+def distance_from_declared(point: ForceModel) -> float:
     """Return how far the parameters of a model are from their declared values, as the sum of the
     squared logarithms of the ratios."""
     declared = point.parameters.prior_mean

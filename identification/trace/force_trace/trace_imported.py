@@ -33,6 +33,7 @@ from ..force_balance.outputs_at_rest import with_outputs_at_rest
 from ..force_balance.position_spectrum import position_periods
 from ..force_balance.reported_errors import PooledError, ReportedError, output_noise, reported_error
 from ..force_checks.certainty_of_effects import Certainty, FittedRows, without_effect
+from ..force_checks.columns_in_another_unit import explaining_unit
 from ..force_checks.exchanged_columns import Exchange, explaining_exchange
 from ..force_checks.instrumental_variables import Unbiased
 from ..force_checks.notes_on_numbers import notes_on_numbers
@@ -218,10 +219,8 @@ def _traced(
     curves = curves_beside_laws(found.point, free, training, options)
     exchange = _exchange(
         start, declared, found.point, training, train, limit_hz, law_hz, sd, options
-    )
+    ) or explaining_unit(start, declared, found.point, effects(places, covered), training, options)
     progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
-    if not found.rated:
-        declared = found.point  # nothing was found: use its numbers
     below = reported, _counted_behind(begins, force_records(noisy, hold, limit_hz, law_hz, more))
     before, after = (_reported(point, records, begins, *below) for point in (declared, found.point))
     stated = stated_noise([r.experiment for r in records]) is not None

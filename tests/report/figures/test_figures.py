@@ -313,6 +313,6 @@ def test_labels_and_numbers():
     assert engineering(2e-5) == (1e6, "µ")
     assert engineering(2e-5, "1") == (1.0, "")
     assert symbol("tau_psi") == "τψ"
-    assert symbol("motor_current") == "motor current"
+    assert symbol("motor_current") == "motor_current"
     assert AXES.gain_unit(2, 0) == "m/(N m)"
     assert AXES.gain_unit(2, 2) == "m/N"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -37,11 +39,14 @@ K: [[k1 + k, -k], [-k, k]]
 """
 TS, ROWS = 2e-3, 6000
 TRUE = {"m1": 1.8, "m2": 2.7, "c1": 7.0, "c2": 5.0, "c": 12.0, "k1": 1500.0, "k": 4100.0}
-LAWS = ("reading.gain", "coil_gain", "linear.", "friction.", "backlash", "stiffness.", "delay")
+LAWS = ("reading.", "coil_gain", "linear.", "friction.", "backlash", "stiffness.", "delay")
 
 
-def traced(text: str, columns: tuple[float, float] = (1.0, 1.0)) -> ForceTrace:
-    """Trace a table of two masses with springs; `columns` multiply the outputs of the record."""
+def traced(
+    text: str, columns: tuple[float, float] = (1.0, 1.0), command: float = 1.0
+) -> ForceTrace:
+    """Trace a table of two masses with springs; `columns` multiply the outputs of the record, and
+    `command` its first input."""
     v, none = TRUE, np.zeros((2, 2))
     plant = Linear(
         np.diag([v["m1"], v["m2"]]),
@@ -55,7 +60,7 @@ def traced(text: str, columns: tuple[float, float] = (1.0, 1.0)) -> ForceTrace:
         u = np.stack([20.0 * low_pass_noise(rng, ROWS, TS, 12.0) for _ in range(2)], axis=1)
         moved = simulated(plant, u, rng)
         y = moved.y * np.array(columns)
-        record = Experiment(f"{seed}", TS, moved.u, y, {}, frozenset(), False)
+        record = Experiment(f"{seed}", TS, moved.u * [command, 1.0], y, {}, frozenset(), False)
         records.append(imported_trace_record(record, config))
 
     def table(places: Places, extent: Extent) -> list[Effect]:
@@ -71,7 +76,24 @@ def test_a_wrong_sign_in_the_stiffness_matrix_is_a_linear_spring() -> None:
     assert law.placed.effect.identity == "linear.stiffness@x - y"
     assert (law.alternatives, law.doubtful) == ((), False)
     assert law.parameters["k"].value == pytest.approx(TRUE["k"], rel=1e-3)
-    assert any(note.startswith("k is next to nothing") for note in trace.notes)
+    assert any(note.startswith("k (declared 3500) is next to nothing") for note in trace.notes)
+
+
+@pytest.mark.parametrize(
+    ("columns", "command", "name"), [((1.0, 1000.0), 1.0, "y"), ((1.0, 1.0), 1000.0, "f")]
+)
+def test_a_column_in_millimetres_is_no_coupling(
+    columns: tuple[float, float], command: float, name: str
+) -> None:
+    """It was a crosstalk of -791 and four more laws, surely."""
+    trace = traced(TABLE, columns, command)
+    assert trace.exchange is not None
+    first, factor, last = re.split(r"([0-9.]+)", trace.exchange.words)
+    assert (first, last) == (f"{name} is in another unit, ", " times too large")
+    # Fitted without weights, it is as right as an equation is.
+    assert float(factor) == pytest.approx(1000.0, rel=5e-3)
+    assert trace.exchange.after.max() < 0.01
+    assert all(law.doubtful for law in force_outcome(trace).laws if not law.free)
 
 
 def test_of_two_outputs_a_large_gain_may_be_that_of_either() -> None:

@@ -1,0 +1,107 @@
+"""Check whether a column of the records is in another unit than the model says.
+
+A position in millimetres, or in counts of an encoder, leaves equations in which hardly a force is
+right. Couplings of all kinds then explain a part of them, one after the other. The gain of the
+column alone explains all; but it is so large that no rating from the declared model foretells it.
+So the model is fitted with the gain of each column from factors over many decades.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ....model.effects.base import Effect, Placed
+from ...value_with_interval import in_full
+from ..force_balance.force_record import ForceModel
+from ..force_regression.gauss_newton_fit import fit_numbers
+from ..force_regression.training_records import Training, missing_share
+from ..force_search.opposite_gain import distance_from_declared, opposite_gain
+from ..search_options import SearchOptions
+from .exchanged_columns import Exchange, explains
+
+_READINGS, _COMMANDS = ("reading.gain", "reading.gain.all"), ("coil_gain", "coil_gain.all")
+_STEP, _STEPS = 2.0**4, 5
+"""Ratio of neighbouring factors that fits begin with, and how many there are either way: up to a
+million."""
+
+
+def explaining_unit(
+    start: ForceModel,
+    declared: ForceModel,
+    found: ForceModel,
+    table: Sequence[Effect],
+    training: Training,
+    options: SearchOptions,
+) -> Exchange | None:
+    """Return which column has another unit, if a model without other effects explains as much then.
+
+    start: the model with the values of its file. declared, found: the fitted model without effects,
+    and with those found. table: all effects. None if the model lacks little, and if such a gain is
+    among the effects found.
+    """
+    plain = training.plain
+    before, after = (missing_share(plain.at(p)) for p in (declared, found))
+    named = {p.effect.effect_class for p in found.placed}
+    gains = [
+        replace(e, amplitudes=tuple(replace(q, low=-np.inf, high=np.inf) for q in e.amplitudes))
+        for e in table
+        if e.key in (*_READINGS, *_COMMANDS) and e.effect_class not in named
+    ]
+    if not gains or float(before.max()) ** 2 <= options.least_gain:
+        return None
+
+    def explained(points: Iterable[ForceModel]) -> list[ForceModel]:
+        return [p for p in points if explains(missing_share(plain.at(p)), before, after, options)]
+
+    good = explained(p for e in gains for p in _fitted(start, e, plain))
+    good += explained(p for one in good for p in _fitted_opposites(one, gains, plain))
+    far = [p for p in good if not 0.5 <= _factor(p.placed[-1]) <= 2.0]
+    if not far:
+        return None
+    point = min(far, key=distance_from_declared)
+    return Exchange(_words(point.placed[-1]), before, missing_share(plain.at(point)))
+
+
+def _fitted(start: ForceModel, effect: Effect, training: Training) -> Iterator[ForceModel]:
+    """Yield the fits of a model with a gain, that of a reading from factors over many decades.
+
+    The gain of a command and the parameters of the model are linear in the force.
+    """
+    parts = [1.0]
+    if effect.key in _READINGS:
+        parts = [_STEP**k for k in range(-_STEPS, _STEPS + 1) if k]
+    for part in parts:
+        amplitude = 1.0 - part if effect.key in _READINGS else part - 1.0
+        placed = (*start.placed, Placed(effect, (), (amplitude,)))
+        yield fit_numbers(training, replace(start, placed=placed))
+
+
+def _fitted_opposites(
+    point: ForceModel, gains: Sequence[Effect], training: Training
+) -> Iterator[ForceModel]:
+    """Yield the fit of a model with the other one of two gains in the place of its last effect."""
+    own = point.placed[-1]
+    others = [e for e in gains if e.key == own.effect.key and e.where != own.effect.where]
+    fitted = opposite_gain(point, own, others[0], training) if len(others) == 1 else None
+    if fitted is not None:
+        yield fitted
+
+
+def _factor(gain: Placed) -> float:
+    """Return by which factor the column is too large."""
+    amplitude = gain.amplitudes[0]
+    part = 1.0 - amplitude if gain.effect.key in _READINGS else 1.0 + amplitude
+    return 1.0 / part if part != 0.0 else np.inf
+
+
+def _words(gain: Placed) -> str:
+    """Return what the gain says, as 'y is in another unit, 1000 times too large'."""
+    factor, where = _factor(gain), gain.effect.where
+    size = (
+        f"{in_full(max(factor, 1.0 / factor), 3)} times too {'large' if factor > 1.0 else 'small'}"
+    )
+    verb = "is" if len(where) == 1 else "are"
+    return f"{' and '.join(where)} {verb} in another unit, {size}"

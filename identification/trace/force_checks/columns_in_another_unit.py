@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from ....model.effects.base import Effect, Placed
-from ...value_with_interval import in_full
 from ..force_balance.force_record import ForceModel
 from ..force_regression.gauss_newton_fit import fit_numbers
 from ..force_regression.training_records import Training, missing_share
@@ -23,9 +22,8 @@ from ..search_options import SearchOptions
 from .exchanged_columns import Exchange, explains
 
 _READINGS, _COMMANDS = ("reading.gain", "reading.gain.all"), ("coil_gain", "coil_gain.all")
-_STEP, _STEPS = 2.0**4, 5
-"""Ratio of neighbouring factors that fits begin with, and how many there are either way: up to a
-million."""
+_STEP, _STEPS = 2.0**SearchOptions.resolved, SearchOptions.resolved
+"""Ratio of neighbouring factors that fits begin with, and how many there are either way."""
 
 
 def explaining_unit(
@@ -100,8 +98,7 @@ def _factor(gain: Placed) -> float:
 def _words(gain: Placed) -> str:
     """Return what the gain says, as 'y is in another unit, 1000 times too large'."""
     factor, where = _factor(gain), gain.effect.where
-    size = (
-        f"{in_full(max(factor, 1.0 / factor), 3)} times too {'large' if factor > 1.0 else 'small'}"
-    )
+    ratio = float(f"{max(factor, 1.0 / factor):.3g}")
+    size = f"{ratio:g} times too {'large' if factor > 1.0 else 'small'}"
     verb = "is" if len(where) == 1 else "are"
     return f"{' and '.join(where)} {verb} in another unit, {size}"

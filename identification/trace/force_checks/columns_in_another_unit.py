@@ -13,7 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ....model.effects import coil_gain, output_readings
 from ....model.effects.base import Effect, Placed
+from ....model.effects.operating_range import Extent
 from ..force_balance.force_record import ForceModel
 from ..force_regression.gauss_newton_fit import fit_numbers
 from ..force_regression.training_records import Training, missing_share
@@ -30,22 +32,23 @@ def explaining_unit(
     start: ForceModel,
     declared: ForceModel,
     found: ForceModel,
-    table: Sequence[Effect],
     training: Training,
     options: SearchOptions,
 ) -> Exchange | None:
     """Return which column has another unit, if a model without other effects explains as much then.
 
     start: the model with the values of its file. declared, found: the fitted model without effects,
-    and with those found. table: all effects. None if the model lacks little, and if such a gain is
-    among the effects found.
+    and with those found. None if the model lacks little, and if such a gain is among the effects
+    found.
     """
     plain = training.plain
     before, after = (missing_share(plain.at(p)) for p in (declared, found))
     named = {p.effect.effect_class for p in found.placed}
+    places = training.records[0].signals.places
+    every = [*coil_gain.effects(places), *output_readings.effects(places, Extent.typical(places))]
     gains = [
         replace(e, amplitudes=tuple(replace(q, low=-np.inf, high=np.inf) for q in e.amplitudes))
-        for e in table
+        for e in every
         if e.key in (*_READINGS, *_COMMANDS) and e.effect_class not in named
     ]
     if not gains or float(before.max()) ** 2 <= options.least_gain:
@@ -59,7 +62,9 @@ def explaining_unit(
     far = [p for p in good if not 0.5 <= _factor(p.placed[-1]) <= 2.0]
     if not far:
         return None
-    point = min(far, key=distance_from_declared)
+    left = [float(missing_share(plain.at(p)).max()) for p in far]
+    alike = [p for p, x in zip(far, left, strict=True) if x < min(left) + options.least_force]
+    point = min(alike, key=distance_from_declared)
     return Exchange(_words(point.placed[-1]), before, missing_share(plain.at(point)))
 
 

@@ -71,8 +71,11 @@ def explaining_exchange(
 
 def explains(left: Array, declared: Array, found: Array, options: SearchOptions) -> bool:
     """Return whether a model explains nearly all that the declared one misses, and as much as one
-    with effects: left, declared, found (n,) are the missing forces over the acting one."""
-    most, misses = float(left.max()), float(declared.max()) ** 2
+    with effects: left, declared, found (n,) are the missing forces over the acting one.
+
+    A model may miss far more than the acting force; a model of zeros would miss all of it.
+    """
+    most, misses = float(left.max()), min(float(declared.max()), 1.0) ** 2
     return most**2 < options.least_gain * misses and most - float(found.max()) < options.least_force
 
 

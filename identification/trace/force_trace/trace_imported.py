@@ -219,7 +219,7 @@ def _traced(
     curves = curves_beside_laws(found.point, free, training, options)
     exchange = _exchange(
         start, declared, found.point, training, train, limit_hz, law_hz, sd, options
-    ) or explaining_unit(start, declared, found.point, effects(places, covered), training, options)
+    ) or explaining_unit(start, declared, found.point, training, options)
     progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
     below = reported, _counted_behind(begins, force_records(noisy, hold, limit_hz, law_hz, more))
     before, after = (_reported(point, records, begins, *below) for point in (declared, found.point))

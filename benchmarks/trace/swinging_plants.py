@@ -1,7 +1,8 @@
 """Simulate plants with one or two axes whose sensors err, whose thrust lags, or whose arm swings.
 
-Written independently of the model: explicit equations in steps of a tenth of a row, by the midpoint
-rule. Inputs are random below a frequency and held.
+Written independently of the model: explicit equations in steps of an eightieth of a row, by the
+midpoint rule, so that the simulation errs by less than the records tell of the numbers. Inputs are
+random below a frequency and held.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from scipy.signal import butter, lfilter
 
 Array = NDArray[np.float64]
 
-STEPS = 10
+STEPS = 80
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,7 @@ def _next(found: Trace, logs: Sequence[Path], out: Path) -> str:
     if isinstance(results, RigTrace):
         return _next_of_rig(outcome(results), logs, out)
     if results.exchange is not None:
-        return "compare the columns in the signals files with the wiring, import and trace again"
+        return "compare columns and units in the signals files with the rig, import and trace again"
     return _identify_with(logs, out)
 
 

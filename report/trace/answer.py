@@ -194,10 +194,10 @@ def _rest_of_imported(result: ForceOutcome) -> str:
             changed = more if after > before else less
             changed.append(f"from {before:.3g} to {after:.3g} %{at}")
     clauses = (*result.lacks, *_described(result), *_beyond_noise(result), *_at_turns(result))
-    described = (
-        max(result.form_matters.values(), default=0.0) > 1.0 - SearchOptions().least_free_gain
-    )
-    if np.isfinite(result.check.outputs) and (clauses or result.laws) and not described:
+    # A function of the signals that takes nearly all of it is no noise.
+    taken = max(result.form_matters.values(), default=0.0)
+    no_noise = taken > 1.0 - SearchOptions().least_free_gain
+    if np.isfinite(result.check.outputs) and (clauses or result.laws) and not no_noise:
         clauses = (*clauses, _by_noise(result))
     lacks = "".join(f" {_sentence(clause)}" for clause in clauses)
     if result.laws:

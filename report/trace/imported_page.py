@@ -329,7 +329,9 @@ def _records(trace: ForceTrace) -> Table:
 def _steps(result: ForceOutcome, out_dir: Path) -> Sequence[tuple[str, str]]:
     model = shlex.quote(str(out_dir / "model.yaml"))
     if result.exchange is not None:
-        again = "Compare the columns in the signals files with the wiring, import and trace again."
+        again = (
+            "Compare columns and units in the signals files with the rig, import and trace again."
+        )
         return [(again, "levid import TABLE --signals SIGNALS.yaml -o LOG.mcap")]
     steps = []
     for law in result.laws:

@@ -2,9 +2,10 @@
 
 A cogging force is a line in the spectrum over the position, as a vibration is one over time. So is
 the size of a friction that is uneven, if the missing force is multiplied by the direction, and that
-of a motor's ripple, by its command. Over a travel of many periods a search would need two start
-values for each: the spectrum tells the few to begin from. Rows in which the force turns faster than
-the band's limit do not count.
+of a motor's ripple, by its command. An encoder that errs in each line of its scale reads an
+acceleration in proportion to the squared speed. Over a travel of many periods a search would need
+two start values for each: the spectrum tells the few to begin from. Rows in which the force turns
+faster than the band's limit do not count.
 """
 
 from __future__ import annotations

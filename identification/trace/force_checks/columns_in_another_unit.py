@@ -19,11 +19,15 @@ from ....model.effects.operating_range import Extent
 from ..force_balance.force_record import ForceModel
 from ..force_regression.gauss_newton_fit import fit_numbers
 from ..force_regression.training_records import Training, missing_share
-from ..force_search.opposite_gain import distance_from_declared, opposite_gain
+from ..force_search.opposite_gain import (
+    FACTOR_LESS_ONE,
+    column_factor,
+    distance_from_declared,
+    opposite_gain,
+)
 from ..search_options import SearchOptions
 from .exchanged_columns import Exchange, explains
 
-_READINGS, _COMMANDS = ("reading.gain", "reading.gain.all"), ("coil_gain", "coil_gain.all")
 _STEP, _STEPS = 2.0**SearchOptions.resolved, SearchOptions.resolved
 """Ratio of neighbouring factors that fits begin with, and how many there are either way."""
 
@@ -43,23 +47,24 @@ def explaining_unit(
     """
     plain = training.plain
     before, after = (missing_share(plain.at(p)) for p in (declared, found))
+    if float(before.max()) ** 2 <= options.least_gain:
+        return None
     named = {p.effect.effect_class for p in found.placed}
     places = training.records[0].signals.places
     every = [*coil_gain.effects(places), *output_readings.effects(places, Extent.typical(places))]
     gains = [
         replace(e, amplitudes=tuple(replace(q, low=-np.inf, high=np.inf) for q in e.amplitudes))
         for e in every
-        if e.key in (*_READINGS, *_COMMANDS) and e.effect_class not in named
+        if e.key in FACTOR_LESS_ONE and e.effect_class not in named
     ]
-    if not gains or float(before.max()) ** 2 <= options.least_gain:
-        return None
 
     def explained(points: Iterable[ForceModel]) -> list[ForceModel]:
         return [p for p in points if explains(missing_share(plain.at(p)), before, after, options)]
 
     good = explained(p for e in gains for p in _fitted(start, e, plain))
     good += explained(p for one in good for p in _fitted_opposites(one, gains, plain))
-    far = [p for p in good if not 0.5 <= _factor(p.placed[-1]) <= 2.0]
+    # A smaller error is no other unit, and another sign is not only one.
+    far = [p for p in good if column_factor(p.placed[-1]) > 0.0 and _ratio(p.placed[-1]) > 2.0]
     if not far:
         return None
     left = [float(missing_share(plain.at(p)).max()) for p in far]
@@ -73,12 +78,10 @@ def _fitted(start: ForceModel, effect: Effect, training: Training) -> Iterator[F
 
     The gain of a command and the parameters of the model are linear in the force.
     """
-    parts = [1.0]
-    if effect.key in _READINGS:
-        parts = [_STEP**k for k in range(-_STEPS, _STEPS + 1) if k]
-    for part in parts:
-        amplitude = 1.0 - part if effect.key in _READINGS else part - 1.0
-        placed = (*start.placed, Placed(effect, (), (amplitude,)))
+    sign = FACTOR_LESS_ONE[effect.key]
+    factors = [_STEP**k for k in range(-_STEPS, _STEPS + 1) if k] if sign < 0.0 else [1.0]
+    for factor in factors:
+        placed = (*start.placed, Placed(effect, (), (sign * (factor - 1.0),)))
         yield fit_numbers(training, replace(start, placed=placed))
 
 
@@ -93,17 +96,15 @@ def _fitted_opposites(
         yield fitted
 
 
-def _factor(gain: Placed) -> float:
-    """Return by which factor the column is too large."""
-    amplitude = gain.amplitudes[0]
-    part = 1.0 - amplitude if gain.effect.key in _READINGS else 1.0 + amplitude
-    return 1.0 / part if part != 0.0 else np.inf
+def _ratio(gain: Placed) -> float:
+    """Return by which factor above one the column is too large, or too small."""
+    factor = abs(column_factor(gain))
+    return max(factor, 1.0 / factor) if factor > 0.0 else np.inf
 
 
 def _words(gain: Placed) -> str:
     """Return what the gain says, as 'y is in another unit, 1000 times too large'."""
-    factor, where = _factor(gain), gain.effect.where
-    ratio = float(f"{max(factor, 1.0 / factor):.3g}")
-    size = f"{ratio:g} times too {'large' if factor > 1.0 else 'small'}"
+    ratio, where = float(f"{_ratio(gain):.3g}"), gain.effect.where
+    size = f"{ratio:g} times too {'large' if column_factor(gain) < 1.0 else 'small'}"
     verb = "is" if len(where) == 1 else "are"
     return f"{' and '.join(where)} {verb} in another unit, {size}"

@@ -77,7 +77,7 @@ def fitted_rivals(
         alike += [f for f in fitted if f.rated.placed.effect.key in same and id(f) not in known]
     # A candidate that takes the place of an inertia, or is no law in the form that it needs, does
     # not explain what another one explains as well.
-    alike = [f for f in alike if has_inertia(f.point, beside, options)] or alike
+    alike = [f for f in alike if _has_inertia(f.point, beside, options)] or alike
     alike = [f for f in alike if f.is_law] or alike
     alike = [f for f in alike if not _as_linear(f, alike, training, options)]
     support = _support([f for f in fitted if f.is_law] or fitted, ranking, options)
@@ -98,7 +98,7 @@ def fitted_rivals(
     return [(best, alike[0].point), *zip(told, (f.point for f in rest), strict=True)]
 
 
-def has_inertia(point: ForceModel, beside: ForceModel, options: SearchOptions) -> bool:
+def _has_inertia(point: ForceModel, beside: ForceModel, options: SearchOptions) -> bool:
     """Return whether a fitted model still has inertia where the model `beside` it has some.
 
     The inertia in each direction of motion must be more than the relative error of a right law.

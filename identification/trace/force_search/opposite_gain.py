@@ -21,8 +21,13 @@ from ..search_options import SearchOptions
 from .compare_fitted_candidates import is_as_good
 from .search import Searched
 
-_FACTOR_LESS_ONE = {"reading.gain": -1.0, "coil_gain": 1.0}
-"""By the key of a gain, the factor of its signal less one, per unit of its amplitude."""
+FACTOR_LESS_ONE = {
+    "reading.gain": -1.0,
+    "reading.gain.all": -1.0,
+    "coil_gain": 1.0,
+    "coil_gain.all": 1.0,
+}
+"""By the key of a gain, the factor of its column less one, per unit of its amplitude."""
 
 
 def with_opposite_gains(
@@ -37,7 +42,7 @@ def with_opposite_gains(
         own = next(p for p in found.point.placed if p.effect == rated.placed.effect)
         others = [e for e in laws if e.key == own.effect.key and e.where != own.effect.where]
         named = {r.placed.effect.where for r in rated.alternatives}
-        if own.effect.key not in _FACTOR_LESS_ONE or len(others) != 1 or others[0].where in named:
+        if own.effect.key not in FACTOR_LESS_ONE or len(others) != 1 or others[0].where in named:
             continue
         other = opposite_gain(found.point, own, others[0], training)
         if other is None:
@@ -64,11 +69,10 @@ def opposite_gain(
     """Return the fitted model with the other gain in the place of a found one, as its last effect;
     None if no gain of the other signal gives the same ratio.
 
-    Forces are proportional to what the factor of the signal multiplies: of two factors 1 and f, 1/f
-    and 1 have the same ratio, and all parameters of the model are then f times as large.
+    Only the ratio of the two factors shows: 1 and f have the same one as 1/f and 1, and the model's
+    parameters are then f times as large for readings, and 1/f times for commands.
     """
-    sign = _FACTOR_LESS_ONE[own.effect.key]
-    factor = 1.0 + sign * own.amplitudes[0]
+    sign, factor = FACTOR_LESS_ONE[own.effect.key], column_factor(own)
     if not factor > 0.0:
         return None
     amplitude, grown = sign * (1.0 / factor - 1.0), factor if sign < 0.0 else 1.0 / factor
@@ -81,9 +85,9 @@ def opposite_gain(
     return fit_numbers(training, begin.with_values(values))
 
 
-def _last(point: ForceModel, own: Placed) -> ForceModel:
-    """Return the model with one of its effects moved to the end."""
-    return replace(point, placed=(*(p for p in point.placed if p is not own), own))
+def column_factor(gain: Placed) -> float:
+    """Return the factor by which a gain multiplies the column of its sensor or actuator."""
+    return 1.0 + FACTOR_LESS_ONE[gain.effect.key] * gain.amplitudes[0]
 
 
 def distance_from_declared(point: ForceModel) -> float:
@@ -94,3 +98,8 @@ def distance_from_declared(point: ForceModel) -> float:
     if not known.all():
         return float("inf")
     return float(np.sum(np.log(point.values / declared) ** 2))
+
+
+def _last(point: ForceModel, own: Placed) -> ForceModel:
+    """Return the model with one of its effects moved to the end."""
+    return replace(point, placed=(*(p for p in point.placed if p is not own), own))

@@ -92,7 +92,7 @@ def test_columns_that_are_exchanged_are_named(
     assert force_outcome(found).lacks_something
     page = imported_report(found, tmp_path).read_text(encoding="utf-8")
     assert f"it looks as if {words}" in page
-    assert "Compare the columns in the signals files with the wiring" in page
+    assert "Compare columns and units in the signals files with the rig" in page
 
 
 def test_records_as_declared_are_not_exchanged() -> None:

@@ -131,6 +131,20 @@ def test_lag_of_the_only_sensor_is_not_told_from_that_of_the_only_actuator() -> 
     assert "of an actuator at f" in names
 
 
+def test_interpolation_error_of_an_encoder_is_named() -> None:
+    """It was a ripple of the force, beside a lag that took the place of the mass."""
+    size, pitch = 2e-4, 0.02
+    found = traced(ONE, 1, lambda x: x + size * np.sin(2.0 * np.pi / pitch * x))
+    (law,) = found["effects"]
+    assert law["name"].startswith("Interpolation error of the encoder")
+    assert not law["alternatives"]
+    assert not law["evidence"]["doubtful"]
+    numbers = law["parameters"]
+    assert abs(numbers["pitch"]["value"] - pitch) < 4.0 * numbers["pitch"]["se"]
+    # The law is of the reading: a slope of 6 % makes a second harmonic of half as much.
+    assert abs(numbers["a"]["value"] + size) < 0.06 * size
+
+
 def test_reading_with_a_part_of_another_one_is_named() -> None:
     found = traced(TWO, 2, lambda h: h @ np.array([[1.0, 0.06], [0.0, 1.0]]))
     (law,) = found["effects"]

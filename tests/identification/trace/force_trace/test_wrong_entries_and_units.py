@@ -124,3 +124,14 @@ def test_a_large_gain_is_told_where_the_other_equation_has_a_declared_number() -
     m1 = trace.found.point.parameters.names.index("m1")
     error = trace.found.point.values[m1] - TRUE["m1"]
     assert abs(error) < SURE_95 * trace.errors[m1] + 1e-3 * TRUE["m1"]
+
+
+def test_a_dead_zone_wider_than_all_commands_is_a_gain() -> None:
+    """A mass that is held at a wrong value is also a gain of all actuators, or of all sensors."""
+    wrong = TABLE.replace(
+        "m2: {value: 3.1, unit: kg, min: 0}", "m2: {value: 2.2, unit: kg, fixed: true}"
+    )
+    trace = traced(wrong, laws=("linear.inertia", "coil_gain", "reading.gain", "dead_zone"))
+    (law,) = force_outcome(trace).laws
+    named = {r.placed.effect.identity for r in (law.rated, *law.alternatives)}
+    assert named == {"linear.inertia@y", "coil_gain.all@f+g", "reading.gain.all@x+y"}

@@ -17,7 +17,7 @@ def percent(share: float, digits: int = 2) -> str:
     return f"{in_full(PERCENT * share, digits)} %"
 
 
-def in_full(value: float, digits: int) -> str:
+def in_full(value: float, digits: int = 3) -> str:
     """Return a number rounded to some digits, without a power of ten: 770, not 7.7e+02."""
     return f"{float(f'{value:.{digits}g}'):g}"
 

@@ -50,7 +50,15 @@ def rig_answer(result: Outcome) -> str:
 
 
 def imported_answer(result: ForceOutcome) -> str:
-    """Return the answer of a trace of imported records."""
+    """Return the answer of a trace of imported records.
+
+    Effects that were found with exchanged columns are no answer: they only stand for the exchange.
+    """
+    if result.exchange is not None:
+        uncertain = (
+            [] if not result.laws else ["the effects found with the present columns mislead"]
+        )
+        return " ".join(_sentence(clause) for clause in (result.exchange.sentence, *uncertain))
     clauses = [
         Clause(
             law.name if law.free else effect_in_words(law.placed.effect, law.parameters),
@@ -60,8 +68,7 @@ def imported_answer(result: ForceOutcome) -> str:
         )
         for law in result.laws
     ]
-    first = [] if result.exchange is None else [_sentence(result.exchange.sentence)]
-    return " ".join([*first, answer(clauses, _rest_of_imported(result))])
+    return answer(clauses, _rest_of_imported(result))
 
 
 def answer(clauses: Sequence[Clause], rest: str) -> str:

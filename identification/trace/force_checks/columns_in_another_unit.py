@@ -16,6 +16,7 @@ import numpy as np
 from ....model.effects import coil_gain, output_readings
 from ....model.effects.base import Effect, Placed
 from ....model.effects.operating_range import Extent
+from ...value_with_interval import in_full
 from ..force_balance.force_record import ForceModel
 from ..force_regression.gauss_newton_fit import fit_numbers
 from ..force_regression.training_records import Training, missing_share
@@ -104,7 +105,7 @@ def _ratio(gain: Placed) -> float:
 
 def _words(gain: Placed) -> str:
     """Return what the gain says, as 'y is in another unit, 1000 times too large'."""
-    ratio, where = float(f"{_ratio(gain):.3g}"), gain.effect.where
-    size = f"{ratio:g} times too {'large' if column_factor(gain) < 1.0 else 'small'}"
+    ratio, where = in_full(_ratio(gain)), gain.effect.where
+    size = f"{ratio} times too {'large' if column_factor(gain) < 1.0 else 'small'}"
     verb = "is" if len(where) == 1 else "are"
     return f"{' and '.join(where)} {verb} in another unit, {size}"

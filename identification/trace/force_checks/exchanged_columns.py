@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...value_with_interval import PERCENT
+from ...value_with_interval import PERCENT, in_full
 from ..records.record_from_log import TraceRecord
 from ..search_options import SearchOptions
 
@@ -35,11 +35,11 @@ class Exchange:
 
     @property
     def sentence(self) -> str:
-        """What a reader of the result has to know of it."""
-        before, after = (f"{PERCENT * float(x.max()):.3g} %" for x in (self.before, self.after))
+        """The finding and what it rests on, as a clause."""
+        before, after = (in_full(PERCENT * float(x.max())) for x in (self.before, self.after))
         return (
-            f"it looks as if {self.words}: the model would miss {after} of the force then, without "
-            f"any effect, and misses {before} as they are"
+            f"it looks as if {self.words}: without any effect, the model then misses {after} % of "
+            f"the force, and {before} % with the columns as they are"
         )
 
 

@@ -88,7 +88,7 @@ def test_columns_that_are_exchanged_are_named(
     assert found.exchange is not None
     assert found.exchange.words == words
     assert np.all(found.exchange.after < 0.01)
-    assert imported_answer(force_outcome(found)).startswith(f"It looks as if {words}: the model")
+    assert imported_answer(force_outcome(found)).startswith(f"It looks as if {words}: without")
     assert force_outcome(found).lacks_something
     page = imported_report(found, tmp_path).read_text(encoding="utf-8")
     assert f"it looks as if {words}" in page

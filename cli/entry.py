@@ -6,7 +6,11 @@ import of its option parser.
 
 from __future__ import annotations
 
-import sys
+from .interrupts import leave_at_once
+
+leave_at_once()  # before the imports, so that Ctrl-C during them prints no traceback
+
+import sys  # noqa: E402
 
 
 def main() -> None:
@@ -28,12 +32,12 @@ def stop_at_once() -> int:
     except DaemonError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        return 130
     sys.stdout.write(f"{STOPPED}\n")
     return 0
 
 
 STOPPED = "zero force; run 'levid clear' to fly again"
 """What is printed after `levid stop`."""
+
+if __name__ == "__main__":
+    main()

@@ -10,6 +10,7 @@ import sys
 import click
 
 from ..config.version import __version__
+from . import interrupts
 from .command_group import LazyGroup
 
 # verb: module and attribute, summary for `levid --help` (shown without loading the module)
@@ -102,7 +103,6 @@ _PLAIN = (
 )
 """Messages of click about numbers and dates, and words for them."""
 EXIT_FAILED = 1
-EXIT_INTERRUPTED = 130
 _COMPLETE = "_LEVID_COMPLETE"
 """Environment variable with which the shell's completion script calls levid."""
 
@@ -137,25 +137,34 @@ def main() -> None:
         from .completion import register
 
         register()
+    interrupts.raise_once()
     try:
         code = levid(prog_name="levid", complete_var=_COMPLETE, standalone_mode=False)
-    except click.ClickException as error:
+    except BaseException as error:  # noqa: BLE001 - see below; others are raised again
+        interrupts.finishing()
+        # Ctrl-C may arrive as any exception: libraries replace KeyboardInterrupt by their own.
+        if interrupts.interrupted() or isinstance(error, click.Abort | KeyboardInterrupt):
+            click.echo("interrupted", err=True)
+            sys.exit(interrupts.EXIT_INTERRUPTED)
+        sys.exit(_report(error))
+    interrupts.finishing()
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _report(error: BaseException) -> int:
+    """Print an error that is the user's, and return the exit code; raises any other again."""
+    if isinstance(error, click.ClickException):
         text = io.StringIO()
         error.show(text)
         click.echo(plain(text.getvalue()), err=True, nl=False)
-        sys.exit(error.exit_code)
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
-    except BrokenPipeError:
+        return error.exit_code
+    if isinstance(error, BrokenPipeError):
         sys.stderr.close()
-        sys.exit(EXIT_FAILED)
-    except Exception as error:
-        if not _user_error(error):
-            raise
-        click.echo(f"error: {_words(error)}", err=True)
-        sys.exit(EXIT_FAILED)
-    sys.exit(code if isinstance(code, int) else 0)
+        return EXIT_FAILED
+    if not isinstance(error, Exception) or not _user_error(error):
+        raise error
+    click.echo(f"error: {_words(error)}", err=True)
+    return EXIT_FAILED
 
 
 def _words(error: Exception) -> str:
@@ -183,4 +192,5 @@ def _user_error(error: Exception) -> bool:
 
 
 if __name__ == "__main__":
+    interrupts.leave_at_once()
     main()

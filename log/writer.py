@@ -182,12 +182,18 @@ class LogWriter:
         """Return the file descriptor, for fsync; raise ValueError if the log is closed."""
         return self._file.fileno()
 
-    def close(self) -> None:
-        """Write the last chunk, summary and footer; a second call does nothing."""
+    def close(self, *, whole: bool = True) -> None:
+        """Write the last chunk, summary and footer; a second call does nothing.
+
+        With `whole` false, summary and footer are left out: readers say that the log was cut off.
+        """
         if self._file.closed:
             return
         if self._filled:
             self._put_chunk()
+        if not whole:
+            self._file.close()
+            return
         self._put_attachment(HEAD, self._head)
         self._put(record_bytes(DataEnd(self._crc)))
         self._put(self._summary(self._at) + MCAP0_MAGIC)

@@ -60,13 +60,16 @@ class Flight:
         self._recorder.start(self._clock.epoch_ns)
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Command zero force, close the devices, write the remaining rows."""
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Command zero force, close the devices, write the remaining rows.
+
+        After Ctrl-C the current log ends with its last whole chunk, as one that was cut off.
+        """
         self.loop.zero()
         try:
             self.devices.close()
         finally:
-            self._recorder.close()
+            self._recorder.close(cut_off=kind is not None and not issubclass(kind, Exception))
 
     @property
     def beam_m(self) -> float:

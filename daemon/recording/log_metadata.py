@@ -45,6 +45,7 @@ def log_metadata(plan: Plan, step: PlannedStep) -> dict[str, str]:
         "kind": step.kind,
         "name": step.name,
         "step": str(step.index),
+        "steps": str(len(plan.steps)),
         "session": plan.name,
         "rate_hz": repr(plan.rate_hz),
         **noted,

@@ -84,6 +84,7 @@ class LogRouter:
         self._full = False
         self._file: LogFile | None = None
         self._writer: LogWriter | None = None
+        self._cut_off = False
 
     @property
     def tag(self) -> int:
@@ -98,6 +99,10 @@ class LogRouter:
     def forget_errors(self) -> None:
         """Resume recording after a failure, from the next log on."""
         self.error = None
+
+    def cut_off(self) -> None:
+        """Leave the current log, and any later one, without an end: a reader says so."""
+        self._cut_off = True
 
     def work(self) -> RingRows:
         """Read a block of rows, write it to its logs, and return it; empty if none is waiting."""
@@ -176,7 +181,7 @@ class LogRouter:
             return
 
         def end() -> None:
-            writer.close()
+            writer.close(whole=not self._cut_off)
             self._writer = None
             self._report(Event.CLOSED, self._tag, writer.path, "")
 

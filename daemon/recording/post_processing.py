@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 _STDERR = 2
+_CLEANUP_S = 10.0
+"""Time in s that an interrupted command has to remove what it has not finished."""
 
 
 class HandoverError(Exception):
@@ -22,19 +26,26 @@ def hand_over(verb: str, records: Sequence[Path], out: Path) -> None:
     HandoverError if it fails.
     """
     nice = shutil.which("nice")
-    done = subprocess.run(
+    child = subprocess.Popen(
         [
             *([nice, "-n", "10"] if nice else []),
-            *(sys.executable, "-m", "levid.cli.main", verb),
+            *(sys.executable, "-m", "levid.cli.entry", verb),
             *map(str, records),
             *("--out", str(out)),
         ],
         stdin=subprocess.DEVNULL,
         stdout=_STDERR,
-        check=False,
     )
-    if done.returncode != 0:
+    try:
+        code = child.wait()
+    except BaseException:  # Ctrl-C: the child gets it too, and removes what it has not finished
+        child.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(_CLEANUP_S)
+        child.kill()
+        raise
+    if code != 0:
         raise HandoverError(
-            f"levid {verb} of {len(records)} records failed (exit code {done.returncode}); "
+            f"levid {verb} of {len(records)} records failed (exit code {code}); "
             f"the logs are in {records[0].parent}"
         )

@@ -47,8 +47,13 @@ class Recorder:
         self._logs[tag] = file
         return tag
 
-    def close(self) -> None:
-        """Write the remaining rows, close the file, stop the thread; safe to call twice."""
+    def close(self, *, cut_off: bool = False) -> None:
+        """Write the remaining rows, close the file, stop the thread; safe to call twice.
+
+        With `cut_off` the file is left without its end: it must not look whole.
+        """
+        if cut_off:
+            self._router.cut_off()
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()

@@ -277,7 +277,7 @@ class Requests:
                 for step in plan.steps
             }
         first = log_metadata(plan, plan.steps[0])
-        metadata = {**first, "kind": "flight", "name": "flight", **override}
+        metadata = {**first, "kind": "flight", "name": "flight", "steps": "1", **override}
         return {0: LogFile(folder / "flight.mcap", metadata, texts)}
 
     def _job(self, turn: _Turn, planned: PlannedRequest, files: dict[int, LogFile]) -> Job:

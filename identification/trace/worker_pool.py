@@ -30,7 +30,7 @@ from ..records.record import IdentificationError
 from .record_affinity_pool import RecordAffinityPool
 from .records.memory_of_arrays import memory_of_arrays
 from .records.record_from_log import TraceRecord, trace_record
-from .worker_processes import begin_imports, ignore_interrupts, without_main_module, worker_count
+from .worker_processes import begin_imports, end_with_parent, without_main_module, worker_count
 
 Answer = TypeVar("Answer")
 Task = Callable[[TraceRecord], Answer]
@@ -173,7 +173,7 @@ def local_workers(
         yield Alone(config)
         return
     others = set(multiprocessing.active_children())
-    with RecordAffinityPool(count, begin_imports(), ignore_interrupts, _length) as pool:
+    with RecordAffinityPool(count, begin_imports(), end_with_parent, _length) as pool:
         try:
             with without_main_module():
                 for _ in range(count):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import multiprocessing.connection
 import multiprocessing.forkserver
+import multiprocessing.resource_tracker
 import os
 import signal
 import sys
@@ -34,7 +35,14 @@ def begin_imports() -> ForkServerContext:
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([_IMPORTED])
-    multiprocessing.forkserver.ensure_running()
+    # The terminal sends Ctrl-C to all processes; only this one acts on it. The others inherit from
+    # the server that they do not receive it. The tracker's start would end the block: first it.
+    multiprocessing.resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        multiprocessing.forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return context
 
 
@@ -53,9 +61,8 @@ def without_main_module() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def ignore_interrupts() -> None:
-    """Ignore interrupts in this worker, and end it when its parent process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def end_with_parent() -> None:
+    """End this worker when its parent process ends."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()

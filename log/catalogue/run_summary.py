@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import blake2s
 from pathlib import Path
@@ -23,8 +23,9 @@ class RunSummary:
     folder: relative to the catalogue's. flown: date in UTC, ISO 8601; of a virtual flight or
     imported data the date of the newest file. logs, records: numbers. length_s: sum over the logs.
     fault: code of the fault that ended the flight, 0 for none. incomplete: logs that are cut off or
-    damaged. unreadable: files that are no logs. state: a hash of names, sizes and dates of the
-    logs, which tells whether the summary is up to date.
+    damaged. unflown: steps of the session without a log. unreadable: files that are no logs.
+    state: a hash of names, sizes and dates of the logs, which tells whether the summary is up to
+    date.
     """
 
     folder: str
@@ -40,6 +41,7 @@ class RunSummary:
     length_s: float
     fault: int
     incomplete: int
+    unflown: int
     unreadable: int
     bytes: int
     levid: str
@@ -86,11 +88,22 @@ def summarise_run(folder: str, logs: Sequence[Path]) -> RunSummary:
         length_s=round(sum(log.length_s for log in found), 6),
         fault=max((log.fault for log in found), default=0),
         incomplete=sum(log.incomplete for log in found),
+        unflown=unflown_steps([log.metadata for log in found]),
         unreadable=unreadable,
         bytes=sum(path.stat().st_size for path in logs),
         levid="" if first is None else first.levid,
         state=state_of(logs),
     )
+
+
+def unflown_steps(metadata: Iterable[Mapping[str, str]]) -> int:
+    """Return the steps of a session that have no log, from the metadata of its logs."""
+    steps, flown = 0, set()
+    for facts in metadata:
+        if facts.get("steps", "").isdecimal():
+            steps = max(steps, int(facts["steps"]))
+            flown.add(facts.get("step"))
+    return max(steps - len(flown), 0)
 
 
 class _LogHead:
@@ -105,9 +118,9 @@ class _LogHead:
         self.virtual = is_virtual(first_ns)
         self.flown = flight_date(first_ns, log.attachments)
         self.rig = rig_name(log.attachments)
-        metadata = {key: printable(value) for key, value in log.metadata.items()}
-        self.session, self.note = metadata.get("session", ""), metadata.get("note", "")
-        self.kind, self.rate_hz = metadata.get("kind", ""), log.rate_hz
+        self.metadata = {key: printable(value) for key, value in log.metadata.items()}
+        self.session, self.note = self.metadata.get("session", ""), self.metadata.get("note", "")
+        self.kind, self.rate_hz = self.metadata.get("kind", ""), log.rate_hz
         self.levid = printable(versions(log.attachments).get("levid", ""))
         self.begin_s = float(time_of(log, first)[0])
         end_s = float(time_of(log, last)[-1])

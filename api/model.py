@@ -9,6 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from ..config.files.atomic_write import write_file
+from ..config.files.folders import make_folder
 from ..identification.records.record import IdentificationError
 from ..identification.value_with_interval import value_with_interval
 from .html_table import Table
@@ -135,11 +137,9 @@ class Model:
 
         Commands and `levid.load(..., model=path)` read it.
         """
-        from ..report.plotting.atomic_write import replace_text
-
         path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace_text(path, self.to_yaml())
+        make_folder(path.parent)
+        write_file(path, self.to_yaml())
         return path
 
     def __repr__(self) -> str:

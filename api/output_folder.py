@@ -10,6 +10,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from ..config.base import ConfigError
+from ..config.files.folders import make_folder
 
 _CLAIMED: ContextVar[frozenset[Path]] = ContextVar("_CLAIMED", default=frozenset())
 
@@ -38,7 +39,7 @@ def claimed_folder(
         yield
         return
     created = [p for p in (out, *out.parents) if not p.exists()]
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     handle = os.open(out, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     token = _CLAIMED.set(claimed | {out.resolve()})
     try:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..config.files.atomic_write import write_file
 from ..log.catalogue.results import RESULT
 
 REPORT_FILES, REPORT_FOLDERS = ("model.yaml", RESULT, "index.html"), ("figures",)
@@ -23,6 +24,4 @@ def with_origin(command: str, logs: Sequence[Path], plain: Mapping[str, Any]) ->
 
 def save_result(folder: Path, whole: Mapping[str, Any]) -> None:
     """Write folder/result.json; raises OSError."""
-    from ..report.plotting.atomic_write import replace_text
-
-    replace_text(folder / RESULT, json.dumps(whole) + "\n")
+    write_file(folder / RESULT, json.dumps(whole) + "\n")

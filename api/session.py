@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from ..config.files.folders import make_folder
 from ..log.errors import LogError
 from ..log.importing.data_suffixes import FORMAT_OF_SUFFIX
 from .record import Record, record_table
@@ -270,7 +271,7 @@ class Session:
             LogError: a column does not exist, a file exists, or a package is missing.
         """
         out, names = Path(folder), listed(columns)
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         files = [out / f"{r.name.replace('/', '-')}.{kind}" for r in self.records]
         return tuple(r.export(f, names) for r, f in zip(self.records, files, strict=True))
 

@@ -88,6 +88,7 @@ def _targets(
 ) -> list[tuple[Path, Path, str | None]]:
     """Return log, file and format of each export; a folder is created."""
     from ..config.base import ConfigError
+    from ..config.files.folders import make_folder
     from ..log.exporting.export_log import format_of
 
     if kind is None:
@@ -107,5 +108,5 @@ def _targets(
             )
         targets[path] = log
     writable_folder(out, [path.name for path in targets])
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     return [(log, path, kind) for path, log in targets.items()]

@@ -26,6 +26,8 @@ def command(rig: Path, out: Path) -> int:
     Examples:
       levid layout config/rigs/loopback.yaml --out layouts
     """
+    from ..config.files.atomic_write import write_file
+    from ..config.files.folders import make_folder
     from ..config.rig import load_rig
     from ..log.errors import LogError, reason
     from ..log.viewer_layouts import layouts
@@ -33,9 +35,9 @@ def command(rig: Path, out: Path) -> int:
     geometry = load_rig(rig).geometry
     texts = layouts(len(geometry.coil_x_m), len(geometry.sensors_x_m))
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         for name, text in texts.items():
-            (out / name).write_text(text, encoding="utf-8")
+            write_file(out / name, text)
             click.echo(f"{out / name}: written")
     except OSError as error:
         raise LogError(f"{out}: cannot be written: {reason(error)}") from None

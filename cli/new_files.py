@@ -41,6 +41,7 @@ def signals(file: Path, out: Path | None) -> int:
       levid new signals motor.csv -o motor.yaml
       levid import motor.csv --signals motor.yaml -o motor.mcap
     """
+    from ..config.files.atomic_write import write_file
     from ..log.errors import LogError
     from ..log.importing.draft_signals import draft_signals
 
@@ -48,8 +49,7 @@ def signals(file: Path, out: Path | None) -> int:
     # Beside the data it could not be written if they are on a read-only share.
     out = Path(file.with_suffix(".yaml").name) if out is None else out
     try:
-        with out.open("x", encoding="utf-8") as new:
-            new.write(draft.text)
+        write_file(out, draft.text, replace=False)
     except FileExistsError:
         raise LogError(
             f"{out}: exists; levid does not overwrite it: give another path with -o"

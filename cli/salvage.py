@@ -41,6 +41,7 @@ def command(logs: tuple[Path, ...], out: Path | None, like: Path | None, as_json
       levid salvage out/first/02-noise.mcap
       levid salvage out/first/02-noise.mcap --like out/first/01-still.mcap
     """
+    from ..config.files.folders import make_folder
     from ..log.errors import LogError
     from ..log.salvage import salvage
 
@@ -51,7 +52,7 @@ def command(logs: tuple[Path, ...], out: Path | None, like: Path | None, as_json
         try:
             found = salvage(log, like)
             if out is not None:
-                out.mkdir(parents=True, exist_ok=True)
+                make_folder(out)
             written = () if found.whole else found.write(target)
         except (LogError, OSError) as error:
             failed = True

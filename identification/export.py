@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 from scipy.io import savemat
 
+from ..config.files.atomic_write import atomic_file
 from ..model.second_order import StateSpace
 from .greybox.identify_greybox import GreyBox
 from .nonparametric.frequency_response import ResponseEstimate
@@ -89,7 +90,7 @@ def write_mat(path: Path, result: IdentificationResult) -> None:
     contents = {**_matrices(models), **measured, **_signals(result.signals)}
     contents["method"] = _cell([_method(point) for point in result.points])
     contents["trusted"] = np.array([[float(_trusted(point)) for point in result.points]])
-    savemat(path, contents, appendmat=False)
+    _save(path, contents)
 
 
 def write_multisine_mat(path: Path, blas: Sequence[BestLinearApproximation]) -> None:
@@ -110,7 +111,7 @@ def write_multisine_mat(path: Path, blas: Sequence[BestLinearApproximation]) -> 
         ("frf_distortion_sd", [np.sqrt(b.distortion_variance) for b in blas]),
     ):
         contents[name] = _together([v.transpose(1, 2, 0) for v in values], same_grid)
-    savemat(path, contents, appendmat=False)
+    _save(path, contents)
 
 
 def write_fitted_mat(path: Path, grey: GreyBox) -> None:
@@ -136,7 +137,12 @@ def write_fitted_mat(path: Path, grey: GreyBox) -> None:
             fields[name]: np.nan if p.se is None else p.se for name, p in parameters.items()
         },
     }
-    savemat(path, contents, appendmat=False, long_field_names=True)
+    _save(path, contents)
+
+
+def _save(path: Path, contents: Mapping[str, Any]) -> None:
+    with atomic_file(path) as file:
+        savemat(cast("Any", file), contents, appendmat=False, long_field_names=True)
 
 
 def fitted_signals(grey: GreyBox) -> SignalNames:

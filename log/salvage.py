@@ -39,7 +39,7 @@ from .mcap_scan import (
 from .message_array import MessageLayout, byte_order
 from .reader import described_channel, mapped, rate_hz_of
 from .unpacked_size import most_unpacked_bytes, too_much
-from .writer import LogWriter
+from .writer import LogWriter, new_log_file
 
 _COMPRESSED = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4", re.DOTALL)
 _BEFORE = Struct("<BQQQQI")
@@ -103,16 +103,20 @@ class Salvaged:
         paths = [out.with_stem(f"{out.stem}-{i + 1}") for i in range(len(parts))]
         paths = [out] if len(parts) == 1 else paths
         for path, part in zip(paths, parts, strict=True):
-            with LogWriter(
-                path,
-                self.rows.dtype,
-                rate_hz=self.rate_hz,
-                metadata={**self.metadata, "salvaged": f"{part.stop - part.start} rows"},
-                attachments=self.attachments,
-                schema_name=self.schema_name,
-                topic=self.topic,
-                schema=self.schema,
-            ) as writer:
+            with (
+                new_log_file(path) as file,
+                LogWriter(
+                    path,
+                    self.rows.dtype,
+                    file=file,
+                    rate_hz=self.rate_hz,
+                    metadata={**self.metadata, "salvaged": f"{part.stop - part.start} rows"},
+                    attachments=self.attachments,
+                    schema_name=self.schema_name,
+                    topic=self.topic,
+                    schema=self.schema,
+                ) as writer,
+            ):
                 writer.write(self.rows[part], self.log_time_ns[part])
         return tuple(paths)
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import BinaryIO, Self, cast
 
 import numpy as np
 import zstandard
@@ -33,6 +35,7 @@ from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
+from ..config.files.atomic_write import atomic_file, open_new
 from ..config.version import __version__
 from .errors import LogError, reason
 from .mcap_scan import HEAD
@@ -81,6 +84,8 @@ class LogWriter:
         units: units of fields that are not in SIGNALS, for the schema's comments.
         chunk_s: longest time in one chunk, which is the most that a crash of this process loses.
         schema: the ros2msg text of the schema, where it is known; units are then left out.
+        file: an empty file that will be `path`; default: a new file at `path`, so that a crash
+            leaves what was recorded.
 
     Raises:
         LogError: the file exists or cannot be written, or the dtype does not fit a ros2msg.
@@ -99,6 +104,7 @@ class LogWriter:
         units: Mapping[str, str] | None = None,
         chunk_s: float = 0.9,
         schema: str | None = None,
+        file: BinaryIO | None = None,
     ) -> None:
         self.path = Path(path)
         self.dtype = dtype
@@ -126,9 +132,9 @@ class LogWriter:
         self._metadata_indexes: list[MetadataIndex] = []
         self._crc, self._at = 0, 0
         try:
-            self._file = self.path.open("xb", buffering=0)
+            self._file = _new_file(self.path) if file is None else file
         except FileExistsError:
-            raise LogError(f"{path}: exists; a log is never written over another") from None
+            raise _exists(path) from None
         except OSError as error:
             raise LogError(f"{path}: cannot be created: {error.strerror}") from None
         facts = {"format": FORMAT, **metadata, "rate_hz": repr(float(rate_hz))}
@@ -137,7 +143,8 @@ class LogWriter:
         except BaseException:
             # The file holds no rows yet and would block the next attempt.
             self._file.close()
-            self.path.unlink(missing_ok=True)
+            if file is None:
+                self.path.unlink(missing_ok=True)
             raise
 
     def write(self, rows: NDArray[np.void], log_time_ns: NDArray[np.uint64]) -> None:
@@ -328,6 +335,29 @@ class LogWriter:
         self._crc = zlib.crc32(data, self._crc)
         self._at += len(data)
         return data
+
+
+@contextmanager
+def new_log_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for a LogWriter that becomes `path` when the `with` body has completed it.
+
+    Raises:
+        LogError: `path` exists.
+        OSError: it cannot be written.
+    """
+    try:
+        with atomic_file(path, replace=False) as file:
+            yield file
+    except FileExistsError:
+        raise _exists(path) from None
+
+
+def _exists(path: Path) -> LogError:
+    return LogError(f"{path}: exists; a log is never written over another")
+
+
+def _new_file(path: Path) -> BinaryIO:
+    return cast("BinaryIO", os.fdopen(open_new(path), "wb", buffering=0))
 
 
 def _write_message_index(

@@ -6,10 +6,12 @@ import contextlib
 import fcntl
 import os
 import socket
+import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from ...config.files.folders import make_folder
 from .socket_paths import listens, require_own_folder
 
 WAITING_CLIENTS = 128
@@ -48,12 +50,12 @@ class UnixListener:
         path = self._path
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o750)
+            make_folder(path.parent, 0o750)
             require_own_folder(path)
             with _folder_lock(path.parent):
                 self._remove_abandoned()
                 listener.bind(str(path))
-                path.chmod(mode)
+                _set_mode(path, mode)
                 listener.listen(WAITING_CLIENTS)
                 self._inode = _inode_of(path)
         except FileNotFoundError:
@@ -83,6 +85,16 @@ class UnixListener:
         if listens(path):
             raise ServerError(f"{path}: another daemon already uses this socket")
         path.unlink()
+
+
+def _set_mode(path: Path, mode: int) -> None:
+    """Set the mode of a socket, of no file to which somebody links its path meanwhile."""
+    handle = os.open(path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        if stat.S_ISSOCK(os.fstat(handle).st_mode):
+            Path(f"/proc/self/fd/{handle}").chmod(mode)
+    finally:
+        os.close(handle)
 
 
 def _inode_of(path: Path) -> tuple[int, int] | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...config.files.atomic_write import write_file
 from ...config.model import ModelConfig
 from ...config.rig import RigConfig
 from ...identification.greybox.declared_model_from_config import declared_model
@@ -223,8 +224,7 @@ def check_text(text: str, name: str) -> None:
 def write_corrected(path: Path, text: str) -> None:
     """Write a new RIG.yaml; raises CommissionError if the file exists."""
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+        write_file(path, text, replace=False)
     except FileExistsError:
         raise CommissionError(
             f"{path}: exists; levid overwrites no rig: give another path"

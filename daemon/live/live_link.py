@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ...config.base import ConfigError
+from ...config.files.atomic_write import write_file
 from ...config.rig import RigConfig
 from ..api.control_server import Server
 from ..host.child_process import Child, ChildSilence, module_of
@@ -108,7 +109,7 @@ class LiveLink:
         )
         if self._token:
             try:
-                _write_secret(self._token_file, self._token)
+                write_file(self._token_file, f"{self._token}\n", mode=0o600)
             except OSError as error:
                 line += f"; no control: {self._token_file}: {error.strerror}"
             else:
@@ -147,12 +148,3 @@ class LiveLink:
                 return
         self._used = used[0]
         self._heard_s, self._running = self._used(), False
-
-
-def _write_secret(path: Path, text: str) -> None:
-    """Write a file that only this user may read."""
-    with contextlib.suppress(FileNotFoundError):
-        path.unlink()
-    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(fd, "w") as file:
-        file.write(f"{text}\n")

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...config.base import ConfigError
+from ...config.files.folders import make_folder
 from ...config.rig import RigConfig
 from ...config.session import SessionConfig
 from ...drivers.open_backends import ROLES
@@ -45,5 +46,5 @@ def fly_virtually(
         plan = plan_session(session, rig, flight.beam_m, flight.rotor_rad, source)
         plan = replace(plan, note=checked_note(note))
         # After planning: a session that does not fit the rig creates no files.
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         return flight.fly(plan, out, texts, progress)

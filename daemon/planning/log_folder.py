@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...config.daemon_settings import Recording
+from ...config.files import folders
 from ..control.preflight_findings import Check, Finding
 from .log_retention import Flight, delete_old_logs, size_of_logs
 from .refused_request import RefusedError, override_hint
@@ -30,7 +31,7 @@ def make_folder(
     if problem := folder_problem(folder, Path(root) if root else None):
         raise RefusedError(problem)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folders.make_folder(folder)
     except OSError as error:
         raise RefusedError(f"{folder}: cannot create the folder: {error.strerror}") from None
     if not os.access(folder, os.W_OK | os.X_OK):

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...config.files.atomic_write import write_file
+from ...config.files.folders import make_folder
 from ...config.rig import RigConfig
 
 INTERVAL_S = 5.0
@@ -76,21 +78,14 @@ class HeatFile:
         cycle, now, heat = float(self._heated[0]), _now(), self._heat.copy()
         if self._saved is not None and self._saved[0] == cycle:
             return True  # no cycles since: cooling follows from the time in the file
-        new = self._path.with_suffix(".new")
         try:
-            new.parent.mkdir(parents=True, exist_ok=True)
-            with new.open("w") as file:
-                file.write(json.dumps({**now, "heat_n2": heat.tolist()}))
-                file.flush()
-                os.fsync(file.fileno())
-            new.replace(self._path)
+            make_folder(self._path.parent)
+            write_file(self._path, json.dumps({**now, "heat_n2": heat.tolist()}))
         except OSError as error:
-            with contextlib.suppress(OSError):
-                new.unlink(missing_ok=True)
             consequence = ""
             if self._saved_is_colder(heat, now):
                 try:
-                    self._path.write_bytes(b"")  # needs no disk space; unreadable means unknown
+                    write_file(self._path, b"")  # needs no disk space; unreadable means unknown
                     self._saved = None
                 except OSError:
                     consequence = "; after a restart the daemon underestimates it"

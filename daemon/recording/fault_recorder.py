@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.daemon_settings import Recording
+from ...config.files.folders import make_folder
 from ...config.rig import RigConfig
 from ...log.errors import LogError
 from ...log.writer import LogWriter
@@ -122,7 +123,7 @@ class FaultLog:
     def _write(self, fault: Fault, rows: NDArray[np.void], lacking_s: float) -> tuple[Path, str]:
         """Write a recording; return its path and problem. Raises LogError, OSError."""
         times = self.epoch_ns + np.rint(rows["cycle"] * (1e9 / self._rate_hz)).astype(np.uint64)
-        self._folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self._folder)
         path = self._free_path(int(times[-1]), fault)
         log = LogWriter(
             path,

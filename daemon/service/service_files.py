@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import shutil
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from math import ceil
@@ -12,6 +11,8 @@ from pathlib import Path, PurePosixPath
 
 from ...config.base import ConfigError
 from ...config.buses import CanBus
+from ...config.files.atomic_write import write_file
+from ...config.files.folders import make_folder
 from ...config.rig import RigConfig
 from ...config.shipped import shipped
 from ...drivers.base import Context
@@ -129,11 +130,11 @@ def write(files: Mapping[str, str], root: Path, force: bool) -> dict[str, str]:
         if done[path] == "new":
             done[path] = "written"
         target = root / path
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
         if done[path] == "changed by hand":
-            shutil.copyfile(target, target.with_name(f"{target.name}.old"))
+            write_file(target.with_name(f"{target.name}.old"), target.read_bytes())
             done[path] = f"replaced; the old file is {target.name}.old"
-        target.write_text(text)
+        write_file(target, text)
     return done
 
 

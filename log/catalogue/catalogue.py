@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from ...config.files.atomic_write import write_file
 from .results import RESULT, ResultSummary, read_result
 from .run_summary import RunSummary, state_of, summarise_run
 
@@ -130,8 +131,6 @@ def _save(path: Path, runs: Sequence[Run]) -> None:
             return
         if not runs and not path.exists():
             return
-        part = path.with_name(f".{path.name}.{os.getpid()}.part")
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
+        write_file(path, text)
     except (OSError, UnicodeError):
         return

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+from ...config.files.atomic_write import atomic_file
 from ..exporting.parquet_file import pyarrow_module
 from .catalogue import Run, plain_run
 
@@ -47,9 +48,5 @@ def write_catalogue_parquet(path: Path, runs: Sequence[Run]) -> None:
         plain = plain_run(run)
         plain["flown"] = datetime.fromisoformat(run.summary.flown)
         rows.append({name: plain[name] for name in schema.names})
-    part = path.with_name(f".{path.name}.part")
-    try:
-        parquet.write_table(pa.Table.from_pylist(rows, schema=schema), part)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with atomic_file(path) as file:
+        parquet.write_table(pa.Table.from_pylist(rows, schema=schema), file)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ _WIDEST = 24
 
 
 def write_csv(
-    path: Path,
+    path: Path,  # noqa: ARG001 - of messages in other formats
+    file: BinaryIO,
     columns: Sequence[Column],
     blocks: Iterable[Block],
     facts: Mapping[str, str],  # noqa: ARG001 - they are in the signals file beside it
@@ -26,12 +28,11 @@ def write_csv(
     Numbers have the shortest text that gives the same number again; NaN is an empty cell.
     """
     rows = 0
-    with path.open("wb") as file:
-        file.write(",".join(name for c in columns for name in c.flat_names).encode() + b"\n")
-        for block in blocks:
-            rows += len(block.rows)
-            cells = [_texts(part) for column in columns for part in column.flat_values(block)]
-            file.writelines(b",".join(row) + b"\n" for row in zip(*cells, strict=True))
+    file.write(",".join(name for c in columns for name in c.flat_names).encode() + b"\n")
+    for block in blocks:
+        rows += len(block.rows)
+        cells = [_texts(part) for column in columns for part in column.flat_values(block)]
+        file.writelines(b",".join(row) + b"\n" for row in zip(*cells, strict=True))
     return rows
 
 

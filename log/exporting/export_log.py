@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import BinaryIO, Literal, get_args
 
 import numpy as np
 
+from ...config.files.atomic_write import atomic_file, write_file
 from ...config.version import __version__
 from ..errors import LogError, reason
 from ..log_facts import rig_name
@@ -24,7 +25,10 @@ from .parquet_file import write_parquet
 Format = Literal["csv", "parquet", "mat", "npz"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
-_Writer = Callable[[Path, Sequence[Column], Iterable[Block], Mapping[str, str]], int]
+_Writer = Callable[
+    [Path, BinaryIO, Sequence[Column], Iterable[Block], Mapping[str, str]],
+    int,
+]
 _WRITERS: dict[Format, _Writer] = {
     "csv": write_csv,
     "parquet": write_parquet,
@@ -91,24 +95,27 @@ def export_log(
         raise LogError(f"every: expected 1 to {MOST}, found {options.every}")
     described = description_path(out) if kind == "csv" else None
     for path in filter(None, (out, described)):
-        if path.exists() and not options.overwrite:
-            raise LogError(f"{path}: exists; give another name, or --overwrite")
+        if (path.exists() or path.is_symlink()) and not options.overwrite:
+            raise _exists(path)
     log = LogStream(log_path)
     columns = chosen_columns(log, options.columns)
     facts = _facts(log, options)
-    part = out.with_name(f".{out.name}.part")
     counted = _Counted(rows_in_range(log, options.begin_s, options.end_s), options.every)
     try:
-        rows = _WRITERS[kind](part, columns, counted.blocks(), facts)
-        if described is not None:
-            text = import_description(log, columns, facts, counted.begin_s)
-            described.write_text(text, encoding="utf-8")
-        part.replace(out)
+        with atomic_file(out, replace=options.overwrite) as file:
+            rows = _WRITERS[kind](out, file, columns, counted.blocks(), facts)
+            if described is not None:
+                text = import_description(log, columns, facts, counted.begin_s)
+                write_file(described, text, replace=options.overwrite)
+    except FileExistsError as error:
+        raise _exists(error.filename) from None
     except OSError as error:
         raise LogError(f"{out}: cannot be written: {reason(error)}") from None
-    finally:
-        part.unlink(missing_ok=True)
     return Exported(out, rows, columns, described, tuple(_notes(log, options, counted.skipped)))
+
+
+def _exists(path: Path | str) -> LogError:
+    return LogError(f"{path}: exists; give another name, or --overwrite")
 
 
 class _Counted:

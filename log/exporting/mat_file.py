@@ -38,9 +38,13 @@ _MOST_BYTES = (1 << 31) - (1 << 10)
 
 
 def write_mat(
-    path: Path, columns: Sequence[Column], blocks: Iterable[Block], facts: Mapping[str, str]
+    path: Path,
+    file: BinaryIO,
+    columns: Sequence[Column],
+    blocks: Iterable[Block],
+    facts: Mapping[str, str],
 ) -> int:
-    """Write a MAT file; return the number of rows.
+    """Write a MAT file, which will be `path`; return the number of rows.
 
     Each column is a variable (n, 1) or (n, length) of the log's type; `units` and `metadata` are
     structs of text.
@@ -51,7 +55,7 @@ def write_mat(
     from scipy.io import savemat
 
     rows = 0
-    with Spool(path.parent) as spool, path.open("wb") as file:
+    with Spool(path.parent) as spool:
         for block in blocks:
             rows += len(block.rows)
             for column in columns:

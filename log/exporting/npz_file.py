@@ -16,15 +16,19 @@ from .spool import Spool
 
 
 def write_npz(
-    path: Path, columns: Sequence[Column], blocks: Iterable[Block], facts: Mapping[str, str]
+    path: Path,
+    file: BinaryIO,
+    columns: Sequence[Column],
+    blocks: Iterable[Block],
+    facts: Mapping[str, str],
 ) -> int:
-    """Write an uncompressed NPZ file; return the number of rows.
+    """Write an uncompressed NPZ file, which will be `path`; return the number of rows.
 
     Each column is an array (n,) or (n, length) of the log's type. `units` (k, 2) holds pairs of
     column and unit, `metadata` (k, 2) pairs of text: `dict(numpy.load(path)["units"])`.
     """
     rows = 0
-    with Spool(path.parent) as spool, zipfile.ZipFile(path, "w", allowZip64=True) as archive:
+    with Spool(path.parent) as spool, zipfile.ZipFile(file, "w", allowZip64=True) as archive:
         for block in blocks:
             rows += len(block.rows)
             for column in columns:

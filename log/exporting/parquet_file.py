@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import BinaryIO
 
 import numpy as np
 
@@ -18,7 +19,11 @@ _ROW_GROUP = 1 << 15
 
 
 def write_parquet(
-    path: Path, columns: Sequence[Column], blocks: Iterable[Block], facts: Mapping[str, str]
+    path: Path,  # noqa: ARG001 - of messages in other formats
+    file: BinaryIO,
+    columns: Sequence[Column],
+    blocks: Iterable[Block],
+    facts: Mapping[str, str],
 ) -> int:
     """Write a Parquet file (zstd); return the number of rows.
 
@@ -37,7 +42,7 @@ def write_parquet(
     ]
     schema = pa.schema(fields, dict(facts))
     rows = 0
-    with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+    with parquet.ParquetWriter(file, schema, compression="zstd") as writer:
         for group in _grouped(blocks):
             arrays = []
             for column in columns:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self
+from typing import BinaryIO, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,12 @@ _COPY_BYTES = 1 << 20
 
 
 class Spool:
-    """A folder with one file a column, deleted at the end of the `with` body."""
+    """One file a column, without a name: the kernel deletes it with the process at the latest."""
 
     def __init__(self, beside: Path) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix=".levid-export-", dir=beside)
+        self._beside = beside
         self._files: dict[str, BinaryIO] = {}
+        self._open = ExitStack()
 
     def __enter__(self) -> Self:
         return self
@@ -30,15 +32,13 @@ class Spool:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        for file in self._files.values():
-            file.close()
-        self._folder.cleanup()
+        self._open.close()
 
     def append(self, name: str, values: NDArray[np.generic]) -> None:
         """Append values to a column, in C order."""
         if name not in self._files:
-            path = Path(self._folder.name, str(len(self._files)))
-            self._files[name] = path.open("w+b")
+            file = tempfile.TemporaryFile(dir=self._beside)  # noqa: SIM115 - closed by _open
+            self._files[name] = cast("BinaryIO", self._open.enter_context(file))
         self._files[name].write(np.ascontiguousarray(values).data.cast("B"))
 
     def copy(self, name: str, out: BinaryIO) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...config.base import load_yaml
 from ..errors import LogError
-from ..writer import LogWriter
+from ..writer import LogWriter, new_log_file
 from .array_variables import load_npz, read_variables
 from .clipping import clipping_remarks
 from .data_suffixes import FORMAT_OF_SUFFIX
@@ -121,15 +120,14 @@ def _write(
         ]
     with ExitStack() as written:
         # An interrupted import must not leave a log that opens as whole with fewer rows.
-        unfinished = [path.with_name(f"{path.name}.part") for path in paths]
-        for path, part_path in zip(paths, unfinished, strict=True):
-            written.enter_context(_in_its_place(path, part_path))
-        for number, (part, path) in enumerate(zip(data.parts, unfinished, strict=True), 1):
+        files = [written.enter_context(new_log_file(path)) for path in paths]
+        for number, (part, path, file) in enumerate(zip(data.parts, paths, files, strict=True), 1):
             name = f"{metadata['name']}-{number}" if len(paths) > 1 else metadata["name"]
             rows = _rows(signals, part, data.rate_hz)
             with LogWriter(
                 path,
                 rows.dtype,
+                file=file,
                 rate_hz=data.rate_hz,
                 metadata={**metadata, "name": name},
                 attachments={"signals.yaml": signals_text},
@@ -140,27 +138,6 @@ def _write(
             ) as log:
                 log.write(rows, np.round(rows["time_s"] * 1e9).astype(np.uint64))
     return [(path, len(part.values)) for path, part in zip(paths, data.parts, strict=True)]
-
-
-@contextmanager
-def _in_its_place(path: Path, part: Path) -> Iterator[None]:
-    """Rename `part` to `path` when it is complete; delete it after an error.
-
-    Raises LogError if `path` exists.
-    """
-    if path.exists():
-        raise LogError(f"{path}: exists; a log is never written over another")
-    try:
-        part.unlink(missing_ok=True)  # left by an import that was killed
-        yield
-        try:
-            path.hardlink_to(part)  # unlike a rename, it replaces no file
-        except FileExistsError:
-            raise LogError(f"{path}: exists; a log is never written over another") from None
-        except OSError:  # a file system without hard links
-            part.rename(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _scaled(where: str, raw: Array, scale: float, offset: float, signals: SignalsFile) -> Array:

@@ -12,8 +12,8 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...config.files.atomic_write import atomic_file, write_file
 from ...log.errors import LogError
-from ..plotting.atomic_write import replace_text
 from ..plotting.figure_to_svg import to_svg
 from ..plotting.min_max_envelope import plot_envelope
 from ..plotting.panel_grid import entry, new_grid
@@ -137,15 +137,10 @@ def save_figure(figure: Figure, path: Path, *, sheet: Sheet = PAGE) -> None:
     check_format(path)
     suffix = path.suffix.lower()
     if suffix == ".svg":
-        replace_text(path, to_svg(figure, sheet))
+        write_file(path, to_svg(figure, sheet))
         return
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with drawing(sheet):
-            figure.savefig(part, format=suffix[1:], dpi=_DPI, facecolor="white")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with atomic_file(path) as file, drawing(sheet):
+        figure.savefig(file, format=suffix[1:], dpi=_DPI, facecolor="white")
 
 
 def check_format(path: Path) -> None:

@@ -19,8 +19,9 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from ...config.files.atomic_write import write_file
+from ...config.files.folders import make_folder
 from ...config.version import __version__
-from .atomic_write import replace_text
 from .chart_encoding import encode_charts
 from .figure_to_svg import Picture
 from .min_max_bins import embeds_all_samples
@@ -119,12 +120,12 @@ def write_report(out_dir: Path, title: str, sections: Sequence[Section]) -> Path
     _reject_duplicates("picture", [picture.name for picture in pictures])
     _reject_duplicates("section", [section.anchor for section in sections])
     figures = out_dir / "figures"
-    figures.mkdir(parents=True, exist_ok=True)
+    make_folder(figures)
     text = render(title, sections)
     for picture in pictures:
-        replace_text(figures / f"{picture.name}.svg", picture.svg)
+        write_file(figures / f"{picture.name}.svg", picture.svg)
     page = out_dir / "index.html"
-    replace_text(page, text)
+    write_file(page, text)
     _remove_surplus(figures, [picture.name for picture in pictures])
     return page
 

@@ -18,6 +18,8 @@ import numpy as np
 
 from ...config.base import ConfigError
 from ...config.buses import RoleOptions
+from ...config.files.atomic_write import replace_link
+from ...config.files.folders import make_folder
 from ...config.rig import RigConfig
 from ...wire.frame_rejection_reasons import Rejected
 from ...wire.serial.frame_splitter import FrameStream
@@ -163,11 +165,8 @@ class _Pty:
         self._master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
-        link = self._path.with_name(f"{self._path.name}.new")
-        link.unlink(missing_ok=True)
-        link.parent.mkdir(parents=True, exist_ok=True)
-        link.symlink_to(os.ttyname(slave))
-        link.replace(self._path)
+        make_folder(self._path.parent)
+        replace_link(self._path, os.ttyname(slave))
         os.close(slave)
 
     def close(self) -> None:

@@ -23,6 +23,7 @@ from typing import Any
 
 import can
 
+from ...config.files.folders import make_folder
 from .kernel_frame import (
     ERROR_BUS_OFF,
     FRAME_SIZES,
@@ -54,7 +55,7 @@ class LocalFrames:
         self._peers: tuple[socket.socket, ...] = ()
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "expected a folder for sockets", str(folder))
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_folder(folder, 0o700)
         if folder.stat().st_mode & stat.S_IWOTH:
             what = "expected a private folder, found one that all users may write to (chmod o-w)"
             raise PermissionError(errno.EPERM, what, str(folder))

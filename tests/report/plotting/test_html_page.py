@@ -13,7 +13,6 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from levid.report.plotting.atomic_write import replace_text
 from levid.report.plotting.figure_to_svg import Picture, to_svg
 from levid.report.plotting.html_page import (
     Figures,
@@ -238,20 +237,3 @@ def test_surplus_figures_of_an_older_report_are_removed(
     report(3)
     own.write_text("")
     assert report(1) == {"effect-1.svg", own.name}
-
-
-def test_file_stays_unchanged_if_it_cannot_be_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "model.yaml"
-    replace_text(path, "old")
-
-    def full(*_: object) -> int:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OSError, match="No space"):
-        replace_text(path, "new")
-    monkeypatch.undo()
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]

@@ -25,7 +25,8 @@ def hand_over(verb: str, records: Sequence[Path], out: Path) -> None:
     done = subprocess.run(
         [
             *([nice, "-n", "10"] if nice else []),
-            *(sys.executable, "-m", "levid.cli.main", verb),
+            # -P: do not import modules from the working directory.
+            *(sys.executable, "-P", "-m", "levid.cli.main", verb),
             *map(str, records),
             *("--out", str(out)),
         ],

@@ -17,11 +17,14 @@ def home() -> Path | None:
 
     HOME counts if it is an absolute path of a folder, else the entry of the user.
     """
+    named = absolute_folder(os.environ.get("HOME"))
+    return named if named is not None and named.is_dir() else account_home()
+
+
+def account_home() -> Path | None:
+    """Return the home folder in the entry of this user; None if there is none that exists."""
     import pwd
 
-    named = absolute_folder(os.environ.get("HOME"))
-    if named is not None and named.is_dir():
-        return named
     try:
         entry = absolute_folder(pwd.getpwuid(os.getuid()).pw_dir)
     except KeyError:  # a container may run as any number

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from .runtime import import_guard
+
 if TYPE_CHECKING:
     from .api.flight import fly as fly
     from .api.identification import Identification as Identification
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from .daemon.control.faults import FlightFault as FlightFault
     from .identification.records.record import IdentificationError as IdentificationError
     from .log.errors import LogError as LogError
+
+if __name__ == "levid":  # pytest imports this file under the clone's name as well
+    import_guard.install()
 
 # Imported on first use, so that `import levid` takes no time.
 _PLACES = {

@@ -17,6 +17,9 @@ def main() -> None:
     """Run the command line."""
     if sys.argv[1:] == ["stop"]:
         sys.exit(stop_at_once())
+    from ..runtime.environment import prepare_command
+
+    prepare_command()
     from .main import main as all_commands
 
     all_commands()

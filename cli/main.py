@@ -10,6 +10,7 @@ import sys
 import click
 
 from ..config.version import __version__
+from ..runtime.environment import prepare_command
 from . import interrupts
 from .command_group import LazyGroup
 
@@ -130,6 +131,7 @@ def levid() -> None:
 
 def main() -> None:
     """Run the command line; print a user's error without traceback and exit with code 1."""
+    prepare_command()
     for stream in (sys.stdout, sys.stderr):  # a file name may be invalid in the stream's encoding
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

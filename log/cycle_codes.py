@@ -60,3 +60,4 @@ class Fault(IntEnum):
     VELOCITY = 19
     HEAT = 20
     COIL_CHECK = 21
+    SOFTWARE = 22

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pwd
+
 import pytest
 
 from levid.drivers.base import LinkError
@@ -12,7 +15,8 @@ from levid.drivers.serial.serial_line import SerialLine
 def is_for_one_loop(first: CanLink | SerialLine, second: CanLink | SerialLine) -> None:
     """Assert that the second opens once the first is closed, and no sooner."""
     first.open()
-    with pytest.raises(LinkError, match="another loop"):
+    user = pwd.getpwuid(os.geteuid()).pw_name
+    with pytest.raises(LinkError, match=rf"another loop.*process {os.getpid()} .*user {user};"):
         second.open()
     first.open()  # anew, as after a fault
     with pytest.raises(LinkError, match="another loop"):

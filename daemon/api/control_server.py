@@ -88,8 +88,9 @@ class Server:
     A line longer than LONGEST_SHORT bytes is passed to `on_long` unparsed, or refused if that is
     None. Handlers run in the server thread and must return at once; they answer slow requests later
     through the Reply. An invalid request, a client that does not read, or any error closes that
-    connection only. With too many connections, the one that was idle longest is closed. A removed
-    socket is restored within `poll_s`.
+    connection only. With too many connections, one gives way to a new client: of the lowest role,
+    without a pending request if possible, idle longest; never one of a higher role than the new
+    client. A removed socket is restored within `poll_s`.
     """
 
     def __init__(
@@ -254,11 +255,10 @@ class Server:
             role, refused = self.access.role_of(peer), self.access.refuses(peer)
         except OSError as error:
             refused = f"cannot determine the user of this connection: {error}"
-        if len(self._connections) >= _MAX_CLIENTS:
-            if refused:  # must not displace another client
-                accepted.close()
-                return
-            self._make_room()
+        full = len(self._connections) >= _MAX_CLIENTS
+        if full and (refused or not self._make_room(role)):  # it must not displace another client
+            accepted.close()
+            return
         connection = _Connection(Lines(accepted, LONGEST_LINE, _MAX_UNREAD), role)
         self._selector.register(accepted, selectors.EVENT_READ, connection)
         self._connections.append(connection)
@@ -267,11 +267,13 @@ class Server:
             with self._hang_up_on_error(connection):
                 self._put(connection, refusal(refused))
 
-    def _make_room(self) -> None:
-        """Close the connection that was idle longest, preferably one without a pending request."""
-        clients = [c for c in self._connections if not c.ours]
-        candidates = [c for c in clients if c.reply is None] or clients
-        self._hang_up(min(candidates, key=lambda c: c.used_s))
+    def _make_room(self, role: Role) -> bool:
+        """Close the connection that gives way to a new client; return whether there is one."""
+        clients = [c for c in self._connections if not c.ours and c.role <= role]
+        if not clients:
+            return False
+        self._hang_up(min(clients, key=lambda c: (c.role, c.reply is not None, c.used_s)))
+        return True
 
     def _serve(self, connection: _Connection, events: int) -> None:
         if connection.closed:

@@ -112,6 +112,11 @@ FAULTS: dict[Fault, FaultText] = {
         "a coil did not move the platform as expected in the check after lift-off",
         "cables of the coil in the message: swapped, reversed or open",
     ),
+    Fault.SOFTWARE: FaultText(
+        "the daemon's software failed, not a device",
+        "nothing on the rig: disk, memory and installation of the daemon; if they are in order, "
+        "report this software defect with the message and the journal",
+    ),
 }
 
 

@@ -1,5 +1,7 @@
 """Serve the rig page: one HTML file, its data as server-sent events, and requests as POST.
 
+A stop always has a place: connections that send no request, then those that read longest, give way.
+
 A request that changes something needs the page's own token, which pages of other sites cannot read
 (CSRF), and an `Origin` of this server. All but a stop also need the token of the user, which stands
 in a file that only this user can read.
@@ -15,6 +17,7 @@ import secrets
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any
 
+from .client_places import ClientPlaces, Place, Rank, listen
 from .control_link import RefusedByDaemonError
 from .request_head import HEAD_BYTES, BadRequestError, Head, read_head, require_local
 from .websocket_proxy import ADDRESS
@@ -63,12 +66,17 @@ class PageServer:
         self._greeting, self._refused = greeting, refused
         self.page_token = secrets.token_urlsafe(32)
         """Token of all pages; they read it from the event `rig`."""
-        self._clients = 0
+        self._places = ClientPlaces(MOST_CLIENTS)
         self._watching: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> asyncio.Server:
         """Listen; raises OSError."""
-        return await asyncio.start_server(self._serve, ADDRESS, self._port, limit=HEAD_BYTES)
+
+        def protocol() -> asyncio.StreamReaderProtocol:
+            reader = asyncio.StreamReader(limit=HEAD_BYTES)
+            return asyncio.StreamReaderProtocol(reader, self._serve)
+
+        return await listen(protocol, ADDRESS, self._port)
 
     @property
     def watched(self) -> bool:
@@ -84,14 +92,14 @@ class PageServer:
                 writer.write(event)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._clients += 1
+        place = self._places.enter(writer.transport.abort)
         try:
-            if self._clients > MOST_CLIENTS:
-                raise BadRequestError(503, f"{MOST_CLIENTS} connections are open, the limit")
+            if place is None:
+                raise BadRequestError(503, f"{MOST_CLIENTS} requests are executed, the limit")
             head = await read_head(reader)
             if head is not None:
                 require_local(head)
-                await self._answer(head, reader, writer)
+                await self._answer(head, reader, writer, place)
         except BadRequestError as error:
             self._refused(f"refused a request of a page: {error}")
             with contextlib.suppress(OSError):
@@ -99,19 +107,22 @@ class PageServer:
         except (OSError, asyncio.IncompleteReadError):
             pass  # it disconnected
         finally:
-            self._clients -= 1
+            if place is not None:
+                place.leave()
             writer.close()
 
     async def _answer(
-        self, head: Head, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self, head: Head, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, place: Place
     ) -> None:
         path = head.path.partition("?")[0]
         if head.method == "GET" and path == "/":
             await self._show(writer)
         elif head.method == "GET" and path == "/events":
+            place.set_rank(Rank.READS)
             await self._stream(reader, writer)
         elif head.method == "POST" and path.removeprefix("/") in self._requests:
             values = await self._permitted(path.removeprefix("/"), head, reader)
+            place.set_rank(Rank.ASKS)
             await _reply_json(writer, *await self._execute(path.removeprefix("/"), values))
         else:
             raise BadRequestError(404, f"{head.method[:8]} {path[:40]}: no such page or request")

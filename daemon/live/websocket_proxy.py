@@ -12,6 +12,7 @@ import secrets
 from collections.abc import Callable, Collection
 from typing import cast
 
+from .client_places import ClientPlaces, Place, Rank, listen
 from .request_head import END, HEAD_BYTES, TIMEOUT_S, BadRequestError, parse_head, require_local
 
 ADDRESS = "127.0.0.1"
@@ -40,17 +41,14 @@ class WebSocketProxy:
         refused: Callable[[str], None],
     ) -> None:
         self._port, self._target, self._origins, self._refused = port, target, origins, refused
-        self.clients = 0
+        self.places = ClientPlaces(MOST_CLIENTS)
 
     async def start(self) -> asyncio.Server:
         """Listen; raises OSError."""
-        loop = asyncio.get_running_loop()
-        return await loop.create_server(lambda: _Client(self), ADDRESS, self._port)
+        return await listen(lambda: _Client(self), ADDRESS, self._port)
 
     def check(self, head: bytes) -> None:
         """Raise BadRequestError if a client with this head may not read the stream."""
-        if self.clients > MOST_CLIENTS:
-            raise BadRequestError(503, f"{MOST_CLIENTS} clients are connected, which is the limit")
         require_local(parse_head(head), self._origins)
 
     def refuse(self, client: asyncio.Transport, error: BadRequestError) -> None:
@@ -101,12 +99,14 @@ class _Client(_Side):
     def __init__(self, proxy: WebSocketProxy) -> None:
         super().__init__()
         self._proxy, self._head, self._checked = proxy, b"", False
+        self._place: Place | None = None
         self._deadline: asyncio.TimerHandle | None = None
         self._connecting: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        self._proxy.clients += 1
+        assert self.transport is not None
+        self._place = self._proxy.places.enter(self.transport.abort)
         loop = asyncio.get_running_loop()
         self._deadline = loop.call_later(TIMEOUT_S, transport.close)
 
@@ -127,12 +127,15 @@ class _Client(_Side):
             self._proxy.refuse(self.transport, error)
             return
         self._checked = True
+        if self._place is not None:
+            self._place.set_rank(Rank.READS)
         self.transport.pause_reading()
         self._connecting = asyncio.get_running_loop().create_task(self._connect(self.transport))
 
     def connection_lost(self, error: Exception | None) -> None:
         super().connection_lost(error)
-        self._proxy.clients -= 1
+        if self._place is not None:
+            self._place.leave()
         self._stop_deadline()
 
     async def _connect(self, transport: asyncio.Transport) -> None:

@@ -29,7 +29,8 @@ def hand_over(verb: str, records: Sequence[Path], out: Path) -> None:
     child = subprocess.Popen(
         [
             *([nice, "-n", "10"] if nice else []),
-            *(sys.executable, "-m", "levid.cli.entry", verb),
+            # -P: do not import modules from the working directory.
+            *(sys.executable, "-P", "-m", "levid.cli.entry", verb),
             *map(str, records),
             *("--out", str(out)),
         ],

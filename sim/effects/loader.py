@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import importlib
 import importlib.util
 import inspect
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...config.sim import SimEffect, SimGeometry
+from ...runtime.private_files import ForeignFileError, read_code
 from ..plant_kernels import Array
 from .effect_interface import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
 
@@ -123,6 +126,11 @@ class _Loaded:
     def __init__(self, where: str, effect: SimEffect, source: Path | None) -> None:
         self.where = where
         cls = _find_class(where, effect.use, source)
+        # Before its constructor runs: SIM.yaml may name any class, one that starts programs too.
+        if not any(callable(getattr(cls, hook, None)) for hook in HOOKS):
+            raise EffectError(
+                f"{where}: expected a class with one or more of {', '.join(HOOKS)}, found none"
+            )
         try:
             inspect.signature(cls).bind(**effect.values)
         except TypeError as error:
@@ -138,10 +146,6 @@ class _Loaded:
             method = getattr(instance, hook, None)
             if callable(method):
                 self.hooks[hook] = method
-        if not self.hooks:
-            raise EffectError(
-                f"{where}: expected a class with one or more of {', '.join(HOOKS)}, found none"
-            )
 
     def call(self, hook: str, *arguments: object) -> object:
         try:
@@ -170,6 +174,18 @@ class _Loaded:
                 f"at t_s, ... = {arguments[0]!r}"
             )
         return array
+
+
+class _CheckedSource(SourceFileLoader):
+    """Load a Python file that no other user can change, without the bytecode beside it."""
+
+    def path_stats(self, path: str) -> Mapping[str, Any]:
+        """Raise OSError, so that bytecode is neither read nor written."""
+        raise OSError(errno.ENOTSUP, "bytecode is not used", path)
+
+    def get_data(self, path: str) -> bytes:
+        """Return the source; raises ForeignFileError."""
+        return read_code(path)
 
 
 def _find_class(where: str, use: str, source: Path | None) -> Callable[..., object]:
@@ -210,13 +226,16 @@ def effect_file(where: str, place: str, source: Path | None) -> Path:
 def _load_file(where: str, place: str, source: Path | None) -> ModuleType:
     path = effect_file(where, place, source)
     name = f"levid_effect_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise EffectError(f"{where}: {path} is not a Python file")
+    loader = _CheckedSource(name, str(path))
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader)
+    assert spec is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses and pickle find a module by its name
     try:
-        spec.loader.exec_module(module)
+        loader.exec_module(module)
+    except ForeignFileError as error:
+        del sys.modules[name]
+        raise EffectError(f"{where}: {path}: {error.strerror}") from None
     except Exception as error:
         del sys.modules[name]
         raise EffectError(f"{where}: {path}: {type(error).__name__}: {error}") from error

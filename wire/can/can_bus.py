@@ -91,6 +91,7 @@ def open_bus(config: CanBus) -> FrameBus:
         channel=config.channel,
         bitrate=config.bitrate,
         receive_own_messages=False,
+        ignore_config=True,  # RIG.yaml says all, not the user's can.conf or CAN_CONFIG
         **arguments(config),
     )
     if config.interface == "socketcan" and isinstance(getattr(bus, "socket", None), socket.socket):

@@ -18,7 +18,7 @@ import socket
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from time import time
+from time import monotonic, time
 from typing import Any
 
 import can
@@ -38,6 +38,8 @@ from .kernel_frame import (
 )
 
 _BACKLOG = 16
+_RETRY_S = 0.1
+"""Interval of connecting to a member whose backlog was full."""
 _SUFFIX = ".can"
 _MOST_BYTES = max(FRAME_SIZES) + 1  # one more, to detect longer data
 
@@ -45,14 +47,18 @@ _MOST_BYTES = max(FRAME_SIZES) + 1  # one more, to detect longer data
 class LocalFrames:
     """The bus in `folder`: every member has a connection to every other member.
 
-    A member that does not read loses frames, as a controller with a full queue does. `receive`
-    accepts new members.
+    A member that does not read loses frames, as a controller with a full queue does. `send` and
+    `receive` accept new members first, so that a member that joins late takes part from its first
+    frame on, however busy the bus is. `receive` reads the members in turn.
     """
 
     def __init__(self, folder: Path, fd: bool) -> None:
         """Join the bus; raises OSError, also for a folder that all users may write to."""
-        self._fd = fd
+        self._fd, self._folder = fd, folder
         self._peers: tuple[socket.socket, ...] = ()
+        self._unreached: list[str] = []  # names of members that accept no connection now
+        self._retry_s = 0.0
+        self._turn = 0
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "expected a folder for sockets", str(folder))
         make_folder(folder, 0o700)
@@ -77,6 +83,7 @@ class LocalFrames:
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame to all other members."""
+        self._meet()
         frame = pack_frame(can_id, data)
         for peer in self._peers:
             try:
@@ -91,20 +98,17 @@ class LocalFrames:
 
         Raises BusOffError if another process emulates it.
         """
-        for peer in self._peers:  # mostly a frame is waiting already
-            frame = self._from(peer)
-            if frame is not None:
-                return frame
+        self._meet()
+        frame = self._next()  # mostly a frame is waiting already
+        if frame is not None:
+            return frame
         if wait_s is not None and wait_s <= 0.0:
             return None
         ready, _, _ = select.select([self._listener, *self._peers], (), (), wait_s)
-        if self._listener in ready:
-            self._accept()
-        for peer in ready:
-            frame = self._from(peer) if peer is not self._listener else None
-            if frame is not None:
-                return frame
-        return OTHER if ready else None  # a member joined or left
+        if not ready:
+            return None
+        self._meet()
+        return self._next() or OTHER  # a member joined or left
 
     def shutdown(self) -> None:
         """Leave the bus; safe to call twice."""
@@ -114,15 +118,33 @@ class LocalFrames:
             end.close()
         self._peers = ()
 
+    def _meet(self) -> None:
+        """Accept the members that joined, and connect to those that accepted none before."""
+        while True:
+            try:
+                end, _ = self._listener.accept()
+            except OSError:
+                break
+            _enable_timestamps(end)
+            self._peers += (end,)
+        if self._unreached and monotonic() >= self._retry_s:
+            missed, self._unreached = self._unreached, []
+            with contextlib.suppress(OSError), _opened(self._folder) as short:
+                for name in missed:
+                    with contextlib.suppress(OSError):
+                        self._connect(short / name)
+
     def _connect(self, path: Path) -> None:
         end = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         _enable_timestamps(end)
         try:
-            # A stopped process accepts no connection: do not wait; it misses the frames.
+            # A stopped process accepts no connection: do not wait; it misses the frames until then.
             end.setblocking(False)
             end.connect(str(path))
         except BlockingIOError:
             end.close()
+            self._unreached.append(path.name)
+            self._retry_s = monotonic() + _RETRY_S
         except OSError as error:
             end.close()
             if error.errno not in (errno.ECONNREFUSED, errno.ENOENT):
@@ -133,11 +155,16 @@ class LocalFrames:
         else:
             self._peers += (end,)
 
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            end, _ = self._listener.accept()
-            _enable_timestamps(end)
-            self._peers += (end,)
+    def _next(self) -> ReceivedFrame | None:
+        """Return a waiting frame; each call begins at the member after the last sender."""
+        peers = self._peers
+        for k in range(len(peers)):
+            turn = (self._turn + k) % len(peers)
+            frame = self._from(peers[turn])
+            if frame is not None:
+                self._turn = turn + 1
+                return frame
+        return None
 
     def _from(self, peer: socket.socket) -> ReceivedFrame | None:
         try:
@@ -210,11 +237,18 @@ def _enable_timestamps(end: socket.socket) -> None:
 
 
 @contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[Path]:
-    """Lock the folder; yield a short path of it, because a socket's path has 107 characters."""
+def _opened(folder: Path) -> Iterator[Path]:
+    """Yield a short path of the folder, because a socket's path has 107 characters."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
         yield Path(f"/proc/self/fd/{handle}")
     finally:
         os.close(handle)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[Path]:
+    """Lock the folder; yield a short path of it."""
+    with _opened(folder) as short:
+        fcntl.flock(int(short.name), fcntl.LOCK_EX)
+        yield short

@@ -153,6 +153,33 @@ def test_idle_clients_make_room_and_waiting_clients_stay(bench: Bench) -> None:
         assert json.loads(patient.makefile("rb").readline())["said"] == "still here"
 
 
+def test_clients_of_a_lower_role_give_way_to_a_higher_one_and_never_the_other_way(
+    bench: Bench,
+) -> None:
+    def connected(role: Role, pending: bool) -> socket.socket:
+        bench.server.set_access(_Only(role))
+        connection = bench.connect()
+        if pending:
+            connection.sendall(b'{"op": "wait"}\n')
+        else:
+            assert bench.ask(connection, b'{"op": "status"}')[0]["ok"] is False  # no such request
+        return connection
+
+    flying = [connected(Role.FLY, pending=False) for _ in range(40)]
+    watching = [connected(Role.WATCH, pending=False) for _ in range(100)]
+    with connected(Role.STOP, pending=False) as stopping:  # in a place of those who only watch
+        assert bench.ask(stopping, b'{"op": "stop"}')[0]["ok"]
+    for connection in flying:  # idle for longest, and connected still
+        assert bench.ask(connection, b'{"op": "echo"}')[0]["ok"]
+    flying += [connected(Role.FLY, pending=True) for _ in range(24)]
+    wait_until(lambda: len(bench.waiting) == 24, _GIVE_UP_S)
+    bench.server.set_access(_Only(Role.WATCH))
+    with bench.connect() as refused, contextlib.suppress(ConnectionError):
+        assert refused.recv(1) == b""
+    for connection in (*flying, *watching):
+        connection.close()
+
+
 def test_client_that_reads_nothing_is_disconnected(bench: Bench) -> None:
     with bench.connect() as slow:
         slow.sendall(b'{"op": "flood"}\n')
@@ -463,6 +490,15 @@ def test_refused_clients_take_no_connection(bench: Bench) -> None:
     assert [bench.ask(c, b'{"op": "echo"}')[0]["ok"] for c in mine] == [True] * 64
     for connection in mine:
         connection.close()
+
+
+class _Only(Access):
+    def __init__(self, role: Role) -> None:
+        super().__init__(Service())
+        self._role = role
+
+    def role_of(self, peer: Peer) -> Role:
+        return self._role
 
 
 class _Nobody(Access):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import stat
 from collections.abc import Iterator
 
@@ -54,6 +56,24 @@ def test_stop_needs_no_token_of_the_user(levitating: LiveView) -> None:
     answer = levitating.post("stop")
     assert answer.status == 200, answer
     assert levitating.daemon.until(lambda s: s["fault"] == "STOPPED")
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [b"", b"POST /stop HTTP/1.1\r\n", b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n"],
+    ids=["nothing", "half a head", "a stream"],
+)
+def test_stop_has_a_place_whatever_other_programs_hold(levitating: LiveView, sent: bytes) -> None:
+    """No program needs a right to connect; 200 connections are many times the limit."""
+    headers = {"X_Levid_Page": levitating.events("rig")["rig"]["page"]}
+    with contextlib.ExitStack() as held:
+        for _ in range(200):
+            address = ("127.0.0.1", levitating.page_port)
+            held.enter_context(socket.create_connection(address)).sendall(sent)
+        answer = levitating.post("stop", **headers)
+        assert answer.status == 200, answer
+        assert levitating.daemon.until(lambda s: s["fault"] == "STOPPED")
+        assert levitating.http("GET", "/").status == 200  # the page opens as well
 
 
 @pytest.mark.parametrize(

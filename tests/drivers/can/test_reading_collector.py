@@ -196,11 +196,10 @@ def test_failed_lock_is_not_reported_as_another_loop(
 ) -> None:
     """Without memory or descriptors the lock fails too."""
     link = CanLink("main", CanBus(interface="levid_local", channel=str(tmp_path)))
-    refusing = SimpleNamespace(bind=refuse, close=lambda: None)
-    monkeypatch.setattr("levid.drivers.bus_lock.socket.socket", lambda *_: refusing)
+    monkeypatch.setattr("levid.drivers.bus_lock.fcntl.flock", refuse)
     with pytest.raises(LinkError, match=r"cannot be locked: .*no room"):
         link.open()
 
 
-def refuse(_: object) -> None:
+def refuse(*_: object) -> None:
     raise OSError(errno.ENOMEM, "no room")

@@ -150,6 +150,49 @@ def test_who_does_not_read_delays_nobody(tmp_path: Path) -> None:
         bus.shutdown()
 
 
+def test_who_joins_a_busy_bus_hears_and_is_heard_at_once(tmp_path: Path) -> None:
+    """Members for whom a frame waits always, or who only send, take in the late one too."""
+    busy, talker, silent = joined(tmp_path, 3)
+    for n in range(100):  # frames wait at all times
+        talker.send(0x100, n.to_bytes(2, "little"))
+    late = LocalFrames(tmp_path, True)
+    late.send(0x200, b"late")
+    assert (0x200, b"late") in [heard(busy) for _ in range(4)]  # one turn of all members
+    talker.send(0x300, b"to all")  # it never received since the late one came
+    assert heard(late) == (0x300, b"to all")
+    again = LocalFrames(tmp_path, True)
+    silent.receive(0.0)  # a poll that does not wait
+    silent.send(0x400, b"me too")
+    assert heard(again) == (0x400, b"me too")
+    for bus in (busy, talker, silent, late, again):
+        bus.shutdown()
+
+
+def test_who_floods_the_bus_does_not_silence_the_others(tmp_path: Path) -> None:
+    receiver, flood, quiet = joined(tmp_path, 3)
+    for bus in (flood, quiet):
+        for _ in range(10):
+            bus.send(0x100 if bus is flood else 0x200, bytes(8))
+    first = [heard(receiver)[0] for _ in range(4)]
+    assert first.count(0x100) == first.count(0x200) == 2
+    for bus in (receiver, flood, quiet):
+        bus.shutdown()
+
+
+def test_who_was_stopped_while_many_came_is_reached_when_it_goes_on(tmp_path: Path) -> None:
+    stopped = LocalFrames(tmp_path, True)
+    for _ in range(40):  # more than its row of those who wait
+        LocalFrames(tmp_path, True).shutdown()
+    late = LocalFrames(tmp_path, True)
+    late.send(0x100, b"lost")
+    stopped.receive(0.001)  # it goes on, and lets in those who waited
+    late._retry_s = 0.0
+    late.send(0x101, b"heard")
+    assert heard(stopped) == (0x101, b"heard")
+    for bus in (stopped, late):
+        bus.shutdown()
+
+
 def test_classic_bus_does_not_hear_can_fd(tmp_path: Path) -> None:
     classic, fd = LocalFrames(tmp_path, False), LocalFrames(tmp_path, True)
     classic.receive(0.001)

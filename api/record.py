@@ -6,13 +6,13 @@ import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.escaping import html_text
 from ..log.errors import LogError
 from ..log.mcap_scan import scan
 from ..log.reader import Log, described_channel, mapped, rate_hz_of, read_log
@@ -205,7 +205,7 @@ class Record:
 
     def _repr_html_(self) -> str:
         length = f"{self.duration_s:.6g} s at {self.rate_hz:.6g} Hz"
-        head = f"<p><b>Record {escape(self.name)}</b>: {length}</p>"
+        head = f"<p><b>Record {html_text(self.name)}</b>: {length}</p>"
         return head + self.signals._repr_html_()
 
     def _unknown(self, name: str) -> LogError:

@@ -55,7 +55,7 @@ def import_description(
             {"column": name, "name": name, "unit": column.unit or "1", **entry}
             for name in column.flat_names
         ]
-    lines = [f"# {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in facts.items()]
+    lines = [f"# {key}: {json.dumps(value)}" for key, value in facts.items()]
     lines += ["levid: signals", f"rate_hz: {float(facts['rate_hz'])!r}", f"begins_s: {begin_s!r}"]
     if attached_signals(log.attachments) is None:
         lines.append("loop: {controller: unknown}")

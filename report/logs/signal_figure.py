@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from ...log.errors import LogError
 from ..plotting.atomic_write import replace_text
-from ..plotting.figure_to_svg import to_svg
+from ..plotting.figure_to_svg import escape_texts, to_svg
 from ..plotting.min_max_envelope import plot_envelope
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import (
@@ -142,6 +142,7 @@ def save_figure(figure: Figure, path: Path, *, sheet: Sheet = PAGE) -> None:
     part = path.with_name(f".{path.name}.part")
     try:
         with drawing(sheet):
+            escape_texts(figure)
             figure.savefig(part, format=suffix[1:], dpi=_DPI, facecolor="white")
         part.replace(path)
     finally:

@@ -233,7 +233,7 @@ def _read_head(path: Path) -> _Head:
     try:
         contents = scan(mapped(path))
         channel, dtype = described_channel(contents)
-        metadata = contents.metadata.get("levid", {})
+        metadata = contents.facts
         rate_hz = rate_hz_of(metadata, _UNTIMED) if "rate_hz" in metadata else None
     except LogError as error:
         raise LogError(f"{path}: {error}") from None

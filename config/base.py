@@ -112,11 +112,11 @@ def parse(data: object, model: type[M], where: str) -> M:
         found = model.model_validate(data)
     except ValidationError as error:
         raise ConfigError("\n".join(mistakes(error, data, model, where))) from None
-    _check_lines(data, None, where)
+    check_lines(data, None, where)
     return found
 
 
-def _check_lines(data: object, path: _Path, where: str) -> None:
+def check_lines(data: object, path: _Path, where: str) -> None:
     """Check that texts in `data` are lines that print, as a name, path or unit has to be.
 
     Raises:
@@ -125,12 +125,12 @@ def _check_lines(data: object, path: _Path, where: str) -> None:
     """
     if isinstance(data, Mapping):
         for key, inner in data.items():
-            _check_lines(key, path, where)
+            check_lines(key, path, where)
             if key not in SEVERAL_LINES:
-                _check_lines(inner, (path, key), where)
+                check_lines(inner, (path, key), where)
     elif isinstance(data, (list, tuple)):
         for at, inner in enumerate(data):
-            _check_lines(inner, (path, at), where)
+            check_lines(inner, (path, at), where)
     elif isinstance(data, str):
         if len(data) > MOST_TEXT:
             expected = f"at most {MOST_TEXT} characters"

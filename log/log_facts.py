@@ -35,7 +35,11 @@ def versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
         found = json.loads(attachments.get("versions.json", b"{}"))
     except (ValueError, RecursionError):
         return {}
-    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
+    return (
+        {one_line(str(k)): one_line(str(v)) for k, v in found.items()}
+        if isinstance(found, dict)
+        else {}
+    )
 
 
 def is_virtual(first_log_time_ns: int) -> bool:

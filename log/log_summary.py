@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from ..config.escaping import one_line
 from .exporting.columns import Column, chosen_columns
 from .exporting.export_log import time_of
 from .log_facts import file_date, flight_date, is_virtual, rig_name, versions
@@ -103,7 +102,7 @@ def summarise_log(path: Path | str) -> LogSummary:
     first = log.first_block()
     first_ns = 0 if first is None else int(first.log_time_ns[0])
     counts.run()
-    metadata = {key: one_line(value) for key, value in log.metadata.items()}
+    metadata = log.metadata
     return LogSummary(
         path=log.path,
         kind=metadata.get("kind", ""),

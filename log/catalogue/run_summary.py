@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ...config.escaping import one_line
 from ..errors import LogError
 from ..exporting.export_log import time_of
 from ..log_facts import file_date, flight_date, is_virtual, rig_name, versions
@@ -106,10 +105,10 @@ class _LogHead:
         self.virtual = is_virtual(first_ns)
         self.flown = flight_date(first_ns, log.attachments)
         self.rig = rig_name(log.attachments)
-        metadata = {key: one_line(value) for key, value in log.metadata.items()}
+        metadata = log.metadata
         self.session, self.note = metadata.get("session", ""), metadata.get("note", "")
         self.kind, self.rate_hz = metadata.get("kind", ""), log.rate_hz
-        self.levid = one_line(versions(log.attachments).get("levid", ""))
+        self.levid = versions(log.attachments).get("levid", "")
         self.begin_s = float(time_of(log, first)[0])
         end_s = float(time_of(log, last)[-1])
         self.length_s = end_s - self.begin_s + 1.0 / log.rate_hz

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.base import ConfigError, parse_text
-from ...config.escaping import one_line
 from ...config.rig import RigConfig
 from ...daemon.control.faults import FAULTS, Fault
 from ...daemon.control.states import State
@@ -218,7 +217,7 @@ def _reduced(log: Log, most_bins: int, event_rows: int) -> _Part:
     step = _step(log, t)
     lateness, execution = (_column(log, n) for n in ("lateness_s", "execution_s"))
     return _Part(
-        session=one_line(log.metadata.get("session", log.path.stem)),
+        session=log.metadata.get("session", log.path.stem),
         rate_hz=log.rate_hz,
         versions=_versions(log),
         step=step,
@@ -253,8 +252,8 @@ def _step(log: Log, t: Array) -> StepFlown:
         peak = float(np.max(np.abs(gaps))) if gaps.size else None
     return StepFlown(
         path=log.path,
-        kind=one_line(log.metadata.get("kind", "record")),
-        name=one_line(log.metadata.get("name", log.path.stem)),
+        kind=log.metadata.get("kind", "record"),
+        name=log.metadata.get("name", log.path.stem),
         start_s=float(t[0]),
         end_s=float(t[-1]),
         rows=len(t),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+from ..config.escaping import html_text
 
 _MOST_ROWS = 60
 
@@ -18,10 +19,10 @@ class Table:
 
     def html(self) -> str:
         """Return an HTML table of at most 60 rows."""
-        head = "".join(f"<th style='text-align:left'>{html.escape(h)}</th>" for h in self.head)
+        head = "".join(f"<th style='text-align:left'>{html_text(h)}</th>" for h in self.head)
         body = "".join(
             "<tr>"
-            + "".join(f"<td style='text-align:left'>{html.escape(c)}</td>" for c in row)
+            + "".join(f"<td style='text-align:left'>{html_text(c)}</td>" for c in row)
             + "</tr>"
             for row in self.rows[:_MOST_ROWS]
         )

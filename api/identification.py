@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from ..config.escaping import html_text
 from ..config.sim import SimConfig
 from ..identification.greybox.identify_greybox import GreyBox
 from ..identification.records.record import IdentificationError
@@ -271,17 +272,15 @@ class Identification:
         return "\n".join([*parts, *(f"note: {note}" for note in self._important_notes())])
 
     def _repr_html_(self) -> str:
-        from html import escape
-
         parts = [
-            f"<p><b>Identification of {escape(self._session.name)}</b>: "
-            f"{escape(self._summary())}</p>"
+            f"<p><b>Identification of {html_text(self._session.name)}</b>: "
+            f"{html_text(self._summary())}</p>"
         ]
         if self.parameters:
             parts.append(self.parameters._repr_html_())
         if self.modes:
             parts.append(self.modes._repr_html_())
-        parts += [f"<p>note: {escape(note)}</p>" for note in self._important_notes()]
+        parts += [f"<p>note: {html_text(note)}</p>" for note in self._important_notes()]
         return "".join(parts)
 
     def _summary(self) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from ..config.escaping import html_text
 from ..config.files.atomic_write import write_file
 from ..config.files.folders import make_folder
 from ..identification.records.record import IdentificationError
@@ -147,8 +147,10 @@ class Model:
         return "\n".join([*lines, *(f"  effect: {effect}" for effect in self.effects)])
 
     def _repr_html_(self) -> str:
-        effects = "".join(f"<p>effect: {escape(e)}</p>" for e in self.effects)
-        return f"<p><b>Model {escape(self.name)}</b></p>{self.parameters.table().html()}{effects}"
+        effects = "".join(f"<p>effect: {html_text(e)}</p>" for e in self.effects)
+        return (
+            f"<p><b>Model {html_text(self.name)}</b></p>{self.parameters.table().html()}{effects}"
+        )
 
 
 def model_of_config(config: ModelConfig, declared: ModelConfig | None = None) -> Model:

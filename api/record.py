@@ -6,13 +6,13 @@ import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..config.escaping import html_text
 from ..log.errors import LogError
 from ..log.mcap_scan import scan
 from ..log.reader import Log, described_channel, mapped, rate_hz_of, read_log
@@ -205,7 +205,7 @@ class Record:
 
     def _repr_html_(self) -> str:
         length = f"{self.duration_s:.6g} s at {self.rate_hz:.6g} Hz"
-        head = f"<p><b>Record {escape(self.name)}</b>: {length}</p>"
+        head = f"<p><b>Record {html_text(self.name)}</b>: {length}</p>"
         return head + self.signals._repr_html_()
 
     def _unknown(self, name: str) -> LogError:
@@ -233,7 +233,7 @@ def _read_head(path: Path) -> _Head:
     try:
         contents = scan(mapped(path))
         channel, dtype = described_channel(contents)
-        metadata = contents.metadata.get("levid", {})
+        metadata = contents.facts
         rate_hz = rate_hz_of(metadata, _UNTIMED) if "rate_hz" in metadata else None
     except LogError as error:
         raise LogError(f"{path}: {error}") from None

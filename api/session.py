@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from ..config.escaping import html_text
 from ..config.files.folders import make_folder
 from ..log.errors import LogError
 from ..log.importing.data_suffixes import FORMAT_OF_SUFFIX
@@ -353,9 +354,7 @@ class Session:
         return "\n".join([*lines, record_table(self.steps).text()])
 
     def _repr_html_(self) -> str:
-        from html import escape
-
-        head = f"<p><b>Session {escape(self.name)}</b>: {escape(self._summary())}</p>"
+        head = f"<p><b>Session {html_text(self.name)}</b>: {html_text(self._summary())}</p>"
         return head + record_table(self.steps).html()
 
     def _summary(self) -> str:

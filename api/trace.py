@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..config.escaping import html_text
 from ..identification.records.record import IdentificationError
 from ..identification.trace.worker_processes import begin_imports, worker_count
 from ..log.catalogue.results import RESULT
@@ -310,11 +311,9 @@ class Trace(ABC):
         return "\n".join([*lines, *map(str, self.effects)])
 
     def _repr_html_(self) -> str:
-        from html import escape
-
-        head = f"<p><b>Trace of {escape(self._session.name)}</b>: {escape(self.verdict)}</p>"
+        head = f"<p><b>Trace of {html_text(self._session.name)}</b>: {html_text(self.verdict)}</p>"
         table = self.effects._repr_html_() if self.effects else ""
-        return f"{head}<p>{escape(str(self.validation))}</p>{table}"
+        return f"{head}<p>{html_text(str(self.validation))}</p>{table}"
 
     @abstractmethod
     def _summary(self) -> dict[str, Any]:

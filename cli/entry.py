@@ -27,13 +27,14 @@ def main() -> None:
 
 def stop_at_once() -> int:
     """Stop the daemon at the default socket; print the outcome and return the exit code."""
+    from ..config.escaping import visible
     from ..daemon.client import Client, DaemonError, socket_path
 
     try:
         with Client(socket_path(None)) as client:
             client.request("stop")
     except DaemonError as error:
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(f"error: {visible(str(error))}\n")
         return 1
     sys.stdout.write(f"{STOPPED}\n")
     return 0

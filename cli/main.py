@@ -9,6 +9,7 @@ import sys
 
 import click
 
+from ..config.escaping import visible_output
 from ..config.version import __version__
 from ..runtime.environment import prepare_command
 from . import interrupts
@@ -132,9 +133,7 @@ def levid() -> None:
 def main() -> None:
     """Run the command line; print a user's error without traceback and exit with code 1."""
     prepare_command()
-    for stream in (sys.stdout, sys.stderr):  # a file name may be invalid in the stream's encoding
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    sys.stdout, sys.stderr = visible_output(sys.stdout), visible_output(sys.stderr)
     if _COMPLETE in os.environ:
         from .completion import register
 

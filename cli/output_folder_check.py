@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+
+from ..config.escaping import shell_word
 
 _MOST_NAMED = 3  # logs that a printed command names one by one
 _FILE_TIME_RESOLUTION_S = 0.05
@@ -73,18 +74,18 @@ def older_results(out: Path, names: Iterable[str], began_s: float) -> list[Path]
 
 def logs_in(folder: Path) -> str:
     """Return the shell pattern of all logs in a folder."""
-    return f"{shlex.quote(str(folder))}/*.mcap"
+    return f"{shell_word(folder)}/*.mcap"
 
 
 def quoted(*paths: Path) -> str:
     """Return paths quoted for a shell."""
-    return shlex.join(map(str, paths))
+    return " ".join(map(shell_word, paths))
 
 
 def repeated(verb: str, logs: Sequence[Path], out: Path, **options: object) -> str:
     """Return the command that repeats a result; options that are None were not given."""
     given = [
-        f"--{name.replace('_', '-')} {shlex.quote(str(value))}"
+        f"--{name.replace('_', '-')} {shell_word(value if isinstance(value, Path) else str(value))}"
         for name, value in options.items()
         if value is not None
     ]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..config.escaping import one_line
 from ..log.importing.data_suffixes import FORMAT_OF_SUFFIX
 
 if TYPE_CHECKING:
@@ -19,6 +21,9 @@ _MOST_FILES = 2000
 _HEAD_BYTES = 2048
 """First bytes of a YAML file, in which its key `levid` is searched."""
 _YAML = (".yaml", ".yml")
+
+
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 
 
 class FilePath(click.Path):
@@ -34,6 +39,17 @@ class FilePath(click.Path):
         super().__init__(path_type=Path)
         self.suffixes, self.kind, self.files = suffixes, kind, files
         self.name = "file" if files else "folder"  # as the help shows it
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; reject one whose messages a terminal would show as something else."""
+        if _UNPRINTABLE.search(str(value)):
+            self.fail(
+                "expected a file name without line breaks and control characters, found "
+                f"{one_line(str(value))}: rename the file, for example with mv -i",
+                param,
+                ctx,
+            )
+        return super().convert(value, param, ctx)
 
     def shell_complete(
         self,

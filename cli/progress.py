@@ -10,6 +10,8 @@ from typing import Protocol
 
 import click
 
+from ..config.escaping import one_line, raw_output
+
 _SHOWN_CYCLES = 2_000_000
 """Cycles that are checked in about half a second: shorter work needs no bar."""
 
@@ -48,18 +50,20 @@ def progress(title: str) -> Iterator[Report]:
     # rich leaves out colours itself with NO_COLOR, but not bold.
     plain = bool(os.environ.get("NO_COLOR"))
     columns = (
-        TextColumn("{task.description}" if plain else "[bold]{task.description}"),
+        TextColumn("{task.description}", style="none" if plain else "bold", markup=False),
         BarColumn(bar_width=30),
         TextColumn("{task.percentage:3.0f} %"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[what]}"),
+        TextColumn("{task.fields[what]}", markup=False),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=1.0, what="")
+    # The bar moves the cursor: its own texts are escaped, not what it writes.
+    terminal = Console(file=raw_output(sys.stderr))
+    with Progress(*columns, console=terminal, transient=True) as bar:
+        task = bar.add_task(one_line(title), total=1.0, what="")
 
         def report(what: str, share: float) -> None:
-            bar.update(task, completed=share, what=what)
+            bar.update(task, completed=share, what=one_line(what))
 
         yield report
 

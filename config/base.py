@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from .error_messages import dotted, mistakes, quoted, shortened
+from .escaping import steering_character
 
 M = TypeVar("M", bound="Strict")
 _Path: TypeAlias = "tuple[_Path, Any] | None"
@@ -36,6 +37,10 @@ MOST_DIGITS = 64
 """Longest number in characters. Longer text stays text: its conversion takes quadratic time."""
 MOST_KEY = 200
 """Longest key in characters. Every message about a value below a key contains the key."""
+MOST_TEXT = 4096
+"""Longest text of one line in characters: a path is no longer."""
+SEVERAL_LINES = ("about", "column")
+"""Keys whose text may have line breaks and any characters: a description, a header in a file."""
 _MOST_PROBLEM = 300
 """Longest text of a YAML error in characters; it may quote the file."""
 _YAML_PROBLEMS = {
@@ -104,9 +109,37 @@ def parse(data: object, model: type[M], where: str) -> M:
     """
     check_limits(data, where)
     try:
-        return model.model_validate(data)
+        found = model.model_validate(data)
     except ValidationError as error:
         raise ConfigError("\n".join(mistakes(error, data, model, where))) from None
+    check_lines(data, None, where)
+    return found
+
+
+def check_lines(data: object, path: _Path, where: str) -> None:
+    """Check that texts in `data` are lines that print, as a name, path or unit has to be.
+
+    Raises:
+        ConfigError: a text outside SEVERAL_LINES is longer than MOST_TEXT, or has a line break or
+            another character that steers a terminal.
+    """
+    if isinstance(data, Mapping):
+        for key, inner in data.items():
+            check_lines(key, path, where)
+            if key not in SEVERAL_LINES:
+                check_lines(inner, (path, key), where)
+    elif isinstance(data, (list, tuple)):
+        for at, inner in enumerate(data):
+            check_lines(inner, (path, at), where)
+    elif isinstance(data, str):
+        if len(data) > MOST_TEXT:
+            expected = f"at most {MOST_TEXT} characters"
+        elif steering_character(data):
+            expected = "one line without control characters"
+        else:
+            return
+        place = dotted(_parts(path))
+        raise ConfigError(f"{where}: {place}: expected {expected}, found {quoted(data)}")
 
 
 def check_limits(data: object, where: str) -> None:

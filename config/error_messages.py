@@ -11,6 +11,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from .escaping import one_line
+
 _Location = tuple[int | str, ...]
 _EXPECTED = {
     "int_type": "an integer",
@@ -193,7 +195,7 @@ def dotted(loc: Sequence[Any]) -> str:
 
 def shortened(text: str, most: int) -> str:
     """Return at most `most` characters of `text`, on one line and without control characters."""
-    cut = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[: most + 1])
+    cut = one_line(text[: most + 1])
     return cut if len(cut) <= most else f"{cut[: most - 3]}..."
 
 

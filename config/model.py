@@ -8,9 +8,10 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from .base import Finite, NonNegative, Positive, Strict, load_yaml
+from .escaping import MOST_NAME
 from .units import si_slip
 
-Identifier = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+Identifier = Annotated[str, Field(max_length=MOST_NAME, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Entry = Finite | str
 Matrix = tuple[tuple[Entry, ...], ...]
 
@@ -21,7 +22,7 @@ def _si(unit: str) -> str:
     return unit
 
 
-SiUnit = Annotated[str, AfterValidator(_si)]
+SiUnit = Annotated[str, Field(max_length=MOST_NAME), AfterValidator(_si)]
 
 
 class Axis(Strict):
@@ -92,7 +93,7 @@ class ModelConfig(Strict):
     """MODEL.yaml: M(p) q'' + D(p) q' + K(p) q = B(p) u + force(p) + effects."""
 
     levid: Literal["model"]
-    name: str
+    name: Annotated[str, Field(min_length=1, max_length=MOST_NAME)]
     about: str = ""
     dof: Annotated[tuple[Axis, ...], Field(min_length=1)]
     inputs: Annotated[tuple[Axis, ...], Field(min_length=1)]

@@ -22,6 +22,7 @@ from .backends import ROLES, bus_schema, role_options
 from .base import ConfigError, Finite, NonNegative, Positive, Strict, load_yaml
 from .buses import Bus, CanBus, RoleOptions, SerialBus
 from .daemon_settings import Live, Realtime, Recording, SelfTest, Service
+from .escaping import MOST_NAME
 from .model import ModelConfig, load_model
 
 
@@ -42,7 +43,8 @@ Scale = Annotated[
 _LEAST_PERIODS = 3
 _SMALL_ANGLE = 0.1
 """rad, where a sine is 0.2 % off: the platform's equations are linear in its angles."""
-BusName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+Name = Annotated[str, Field(max_length=MOST_NAME, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+"""A name, which becomes part of file names."""
 
 
 class Geometry(Strict):
@@ -186,7 +188,7 @@ def _buses(section: _Section) -> Any:
     except ConfigError as error:
         raise ValueError(str(error)) from None
     if schema is not None:
-        buses: Any = TypeAdapter(dict[BusName, schema])  # type: ignore[valid-type]
+        buses: Any = TypeAdapter(dict[Name, schema])  # type: ignore[valid-type]
         return buses.validate_python(section.value)
     if section.used:
         return section.value
@@ -200,7 +202,7 @@ class RigConfig(Strict):
     __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(_buses)]]
 
     levid: Literal["rig"]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    name: Name
     rate_hz: Rate
     geometry: Geometry
     control: Control
@@ -217,9 +219,9 @@ class RigConfig(Strict):
     amplifiers: Role
     sensors: Role
     drives: Role
-    can: dict[BusName, CanBus] = Field(default_factory=dict)
+    can: dict[Name, CanBus] = Field(default_factory=dict)
     """CAN buses by the names that roles use."""
-    serial: dict[BusName, SerialBus] = Field(default_factory=dict)
+    serial: dict[Name, SerialBus] = Field(default_factory=dict)
     """Serial ports by the names that roles use."""
     sim: str | None = None
     """SIM.yaml of the loopback backend and of emulated electronics, relative to this file."""

@@ -9,12 +9,10 @@ from pydantic import Field, model_validator
 
 from .base import Finite, NonNegative, Positive, Strict, load_yaml
 from .error_messages import quoted
-from .rig import Rate
+from .rig import Name, Rate
 
 MOST_STEPS = 1000
 """Largest number of steps in a session."""
-# A name is part of a file name, which has at most 255 characters.
-Name = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Duration = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 Pause = Annotated[float, Field(ge=0, le=86_400, allow_inf_nan=False)]
 # The drive counts 1e-7 rad in 32 bits; a larger angle cannot be commanded.

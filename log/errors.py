@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 
+from ..config.escaping import one_line
+
 _REMEDIES = {
     errno.ENOSPC: "remove files, or write to another disk",
     errno.EDQUOT: "remove files of this user, or write to another disk",
@@ -14,7 +16,13 @@ _REMEDIES = {
 
 
 class LogError(Exception):
-    """A log cannot be read, written or imported: where, what was expected and what was found."""
+    """A log cannot be read, written or imported: where, what was expected and what was found.
+
+    The message is one line, although names of files, topics and columns may have line breaks.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 def reason(error: OSError) -> str:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import yaml
 
+from ..config.escaping import one_line
+
 VIRTUAL_EPOCH_NS = 1_577_836_800_000_000_000
 """Log time of cycle 0 in virtual time, 2020-01-01T00:00:00Z: logs of equal runs are identical."""
 _LONGEST_VIRTUAL_NS = 10**16
@@ -24,7 +26,7 @@ def rig_name(attachments: Mapping[str, bytes]) -> str:
         rig = yaml.safe_load(text)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError):
         return ""
-    return printable(str(rig.get("name", ""))) if isinstance(rig, dict) else ""
+    return one_line(str(rig.get("name", ""))) if isinstance(rig, dict) else ""
 
 
 def versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
@@ -33,7 +35,11 @@ def versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
         found = json.loads(attachments.get("versions.json", b"{}"))
     except (ValueError, RecursionError):
         return {}
-    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
+    return (
+        {one_line(str(k)): one_line(str(v)) for k, v in found.items()}
+        if isinstance(found, dict)
+        else {}
+    )
 
 
 def is_virtual(first_log_time_ns: int) -> bool:
@@ -51,8 +57,3 @@ def flight_date(first_log_time_ns: int, attachments: Mapping[str, bytes]) -> dat
 def file_date(*paths: Path) -> datetime:
     """Return when the newest of these files was written, in UTC."""
     return datetime.fromtimestamp(max(path.stat().st_mtime for path in paths), UTC)
-
-
-def printable(text: str) -> str:
-    """Return text without control characters, which would move a terminal's cursor."""
-    return "".join(c if c.isprintable() else "?" for c in text)

@@ -63,7 +63,7 @@ class LogStream:
         self.meanings: dict[str, FieldMeaning] = field_meanings(
             str(schema.data, "utf-8", "replace")
         )
-        self.metadata = contents.metadata.get("levid", {})
+        self.metadata = contents.facts
         self.attachments = contents.attachments
         self.problem = contents.problem
         self.stated_rows = stated_rows(contents, self._number)

@@ -11,7 +11,7 @@ import yaml
 
 from .exporting.columns import Column, chosen_columns
 from .exporting.export_log import time_of
-from .log_facts import file_date, flight_date, is_virtual, printable, rig_name, versions
+from .log_facts import file_date, flight_date, is_virtual, rig_name, versions
 from .log_stream import LogStream
 
 _AT_LIMIT = 1.0 - 1e-6
@@ -102,7 +102,7 @@ def summarise_log(path: Path | str) -> LogSummary:
     first = log.first_block()
     first_ns = 0 if first is None else int(first.log_time_ns[0])
     counts.run()
-    metadata = {key: printable(value) for key, value in log.metadata.items()}
+    metadata = log.metadata
     return LogSummary(
         path=log.path,
         kind=metadata.get("kind", ""),

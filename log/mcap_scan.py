@@ -27,6 +27,7 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from ..config.escaping import one_line
 from .errors import LogError
 from .unpacked_size import most_unpacked_bytes, too_much
 
@@ -75,6 +76,12 @@ class Contents:
     chunks: dict[int, Chunk] = field(default_factory=dict)
     message_counts: dict[int, int] | None = None
     problem: str | None = None
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The pairs of the metadata record `levid`, each text on one line that prints."""
+        pairs = self.metadata.get("levid", {})
+        return {one_line(key): one_line(value) for key, value in pairs.items()}
 
     def declare(self, record: Schema | Channel, where: str) -> None:
         """Add a schema or channel; raise LogError if its number has another meaning already."""

@@ -99,7 +99,7 @@ def _read(path: Path, data: memoryview) -> Log:
     problem = problem or wrong_count(stated_rows(contents, channel), rows.size)
     if not rows.size:
         raise LogError(problem or f"no messages on {contents.channels[channel].topic}")
-    metadata = contents.metadata.get("levid", {})
+    metadata = contents.facts
     return Log(
         path=path,
         rows=rows if rows.dtype == dtype else rows.astype(dtype),

@@ -17,6 +17,7 @@ from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 
+from ...config.escaping import one_line
 from ..entry import STOPPED
 from .daemon_connection import DaemonConnection
 from .dashboard import draw
@@ -171,7 +172,7 @@ class WatchApp(App[None]):
         self._connection.send(op, on_answer)
 
     def _say(self, text: str, style: str) -> None:
-        self.view.message = message = (text, style)
+        self.view.message = message = (one_line(text), style)
         self._dashboard.redraw()
         if style != "alarm":
             self.set_timer(_MESSAGE_S, lambda: self._forget(message))

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...config.escaping import one_line
 from ...daemon.control.states import IN_FLIGHT
 from ..readable_values import Scale, scale_of
 
@@ -50,6 +51,7 @@ class View:
 
     def receive(self, status: Status, now_s: float) -> None:
         """Take a status that came at a time of the monotonic clock."""
+        status = _escaped(status)
         before = self.status
         if before is None or before["cycle"] != status["cycle"]:
             self.cycled_s = now_s
@@ -65,7 +67,7 @@ class View:
         """Take the reason why no status arrives."""
         if not self.problem and self.status is not None:
             self._observe("lost the connection to the daemon")
-        self.problem = problem
+        self.problem = one_line(problem)
 
     @property
     def silent_s(self) -> float:
@@ -106,6 +108,15 @@ class View:
 
     def _observe(self, text: str) -> None:
         self._observed.append((time.time(), text))
+
+
+def _escaped(value: Any) -> Any:
+    """Return JSON data in whose texts all characters print."""
+    if isinstance(value, str):
+        return one_line(value)
+    if isinstance(value, dict):
+        return {key: _escaped(inner) for key, inner in value.items()}
+    return [_escaped(inner) for inner in value] if isinstance(value, list) else value
 
 
 def in_flight(status: Status) -> bool:

@@ -16,6 +16,7 @@ from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from ...config.escaping import one_line
 from ...config.rig import RigConfig
 from ..host.child_process import receive_signals
 from ..host.process_confinement import Confinement, confine, lower_priority
@@ -94,7 +95,7 @@ class LiveProcess:
         confine(_LIMITS, _open_files_but_memory())
         signal_at_parent_death(parent, signal.SIGKILL)  # after the change of the user
         if warning := forbid_syscalls():
-            print(f"live view: {warning}", file=sys.stderr, flush=True)  # noqa: T201
+            print(f"live view: {one_line(warning)}", file=sys.stderr, flush=True)  # noqa: T201
         await asyncio.gather(self._send_rows(), self._send_page_rows(), self._send_status())
 
     async def _send_rows(self) -> None:
@@ -172,7 +173,7 @@ class LiveProcess:
 
 
 def _print_error(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)  # noqa: T201
+    print(one_line(line), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def _decimator(shared: SharedMemory, rate_hz: float, to_hz: float) -> Decimator:

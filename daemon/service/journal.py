@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 
+from ...config.escaping import visible
 from ..control.faults import Fault
 from ..ipc.shared_status_words import ControlWords
 
@@ -41,7 +42,11 @@ class Journal:
         self._thread.start()
 
     def log(self, text: str) -> None:
-        """Log one line; the prefix `warning:` gives it that priority."""
+        """Log one line; the prefix `warning:` gives it that priority.
+
+        Further lines of a text are indented: none of them looks like another entry.
+        """
+        text = visible(text).replace("\n", "\n  ")
         if self._socket is not None:
             fields = self.fields()
             default = _WARNING if text.startswith("warning:") else _INFO

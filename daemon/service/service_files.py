@@ -11,6 +11,14 @@ from pathlib import Path, PurePosixPath
 
 from ...config.base import ConfigError
 from ...config.buses import CanBus
+from ...config.escaping import (
+    EscapingError,
+    shell_word,
+    systemd_name,
+    systemd_text,
+    systemd_word,
+    udev_name,
+)
 from ...config.files.atomic_write import write_file
 from ...config.files.folders import make_folder
 from ...config.rig import RigConfig
@@ -57,12 +65,15 @@ def service_files(
     that the rig names. Raises ConfigError.
     """
     read = [path for path in (rig_file, program, model_file) if path is not None]
-    files = {
-        SYSUSERS: 'u levid - "levid daemon" /var/lib/levid\n',
-        UNIT: shipped("levid.service").read_text(),
-        DROP_IN: _drop_in(rig, rig_file, program, read),
-        UDEV: _udev(rig),
-    }
+    try:
+        files = {
+            SYSUSERS: 'u levid - "levid daemon" /var/lib/levid\n',
+            UNIT: shipped("levid.service").read_text(),
+            DROP_IN: _drop_in(rig, rig_file, program, read),
+            UDEV: _udev(rig),
+        }
+    except EscapingError as error:
+        raise ConfigError(f"{rig_file}: cannot be installed as a service: {error}") from None
     for bus in _kernel_buses(rig):
         files |= _network(bus)
     return {path: _signed(text) for path, text in files.items()}
@@ -85,7 +96,8 @@ def service_warnings(
         if where is not None:
             yield f"{path}: user levid has no access to {where}: move the file"
         elif (closed := _closed_folder(path)) is not None:
-            yield f"{path}: user levid has no access to {closed}: chmod o+x {closed}, or move it"
+            remedy = f"chmod o+x {shell_word(closed)}, or move it"
+            yield f"{path}: user levid has no access to {closed}: {remedy}"
     for name, bus in rig.can.items():
         if bus.interface != "socketcan" and _tty(bus) is None:
             yield f"can.{name}: networkd cannot configure {bus.interface}: {_manual_step(bus)}"
@@ -103,7 +115,7 @@ def service_warnings(
 
 def left_over(files: Mapping[str, str], root: Path) -> list[Path]:
     """Return the interface files below `root` that were written for an earlier rig."""
-    patterns = (f"{NETWORK}*", f"{_SYSTEM}/{_wait_online_unit('*')}.d/10-levid.conf")
+    patterns = (f"{NETWORK}*", f"{_SYSTEM}/systemd-networkd-wait-online@*.service.d/10-levid.conf")
     found = {path for pattern in patterns for path in root.glob(pattern)}
     found -= {root / path for path in files}
     return sorted(path for path in found if _is_ours(path.read_text(errors="replace")))
@@ -183,8 +195,13 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path, read: Sequence[Path]
         units += [f"modprobe@{driver}.service" for driver in ("usbserial", "cdc_acm")]
     units += [_device_unit(device) for device in classes if device.startswith("/dev/")]
     lines = ["[Unit]", *(line for unit in units for line in (f"Wants={unit}", f"After={unit}"))]
-    lines += [f'RequiresMountsFor="{_literal(path)}"' for path in read]
-    lines += ["", "[Service]", "ExecStart=", f"ExecStart={_word(program)} run {_word(rig_file)}"]
+    lines += [f'RequiresMountsFor="{systemd_text(path)}"' for path in read]
+    lines += [
+        "",
+        "[Service]",
+        "ExecStart=",
+        f"ExecStart={systemd_word(program)} run {systemd_word(rig_file)}",
+    ]
     silent_s = max(rig.service.loop_s, rig.service.supervisor_s)
     if silent_s > _SILENT_S:
         lines += [
@@ -199,7 +216,7 @@ def _drop_in(rig: RigConfig, rig_file: Path, program: Path, read: Sequence[Path]
     if any(path.is_relative_to(home) for path in read for home in _HOMES):
         lines += ["# levid or its rig is in a home directory:", "ProtectHome=read-only"]
     for written in _written_folders(rig, rig_file):
-        lines += [f'ReadWritePaths="-{_literal(written)}"']
+        lines += [f'ReadWritePaths="-{systemd_text(written)}"']
     if _ports(rig):
         lines += [f"DeviceAllow={device} rw" for device in classes]
     if rig.service.metrics_port is not None or rig.live is not None or _speaks_ip(rig):
@@ -301,7 +318,7 @@ def _ports(rig: RigConfig) -> list[PurePosixPath]:
 
 def _port_names(rig: RigConfig) -> list[str]:
     """Return the kernel names of serial ports; a link may lead to any USB adapter."""
-    names = [port.name for port in _ports(rig) if not _is_link(port)]
+    names = [udev_name(port.name) for port in _ports(rig) if not _is_link(port)]
     usb = [name for name in names if name.startswith(_USB)]
     linked = len(names) < len(_ports(rig))
     plain = sorted(set(names) - set(usb))
@@ -332,26 +349,10 @@ def _watchdog(silent_s: float) -> int:
     return ceil(silent_s) + _WATCHDOG_MARGIN_S
 
 
-def _literal(path: Path) -> str:
-    """Escape a path for use between quotes in a unit."""
-    return str(path).replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
-
-
-def _word(path: Path) -> str:
-    """Quote a path as one argument of a command line in a unit."""
-    text = _literal(path).replace("$", "$$")
-    return f'"{text}"' if re.search(r"[\s\\\"';]", text) else text
-
-
 def _wait_online_unit(interface: str) -> str:
     """Return the name of the unit that waits for an interface."""
-    return f"systemd-networkd-wait-online@{_escaped(interface)}.service"
+    return f"systemd-networkd-wait-online@{systemd_name(interface)}.service"
 
 
 def _device_unit(path: str) -> str:
-    return "-".join(_escaped(part) for part in path.strip("/").split("/")) + ".device"
-
-
-def _escaped(name: str) -> str:
-    """Escape a name as systemd-escape does; `-` is the only such character in these names."""
-    return name.replace("-", "\\x2d")
+    return f"{systemd_name(path)}.device"

@@ -125,7 +125,7 @@ def _results(
 
 def _save(path: Path, runs: Sequence[Run]) -> None:
     """Replace the catalogue if it changes and may be written."""
-    text = "".join(json.dumps(plain_run(run), ensure_ascii=False) + "\n" for run in runs)
+    text = "".join(json.dumps(plain_run(run)) + "\n" for run in runs)
     try:
         if path.exists() and path.read_text(encoding="utf-8") == text:
             return

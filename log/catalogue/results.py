@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ..log_facts import printable
+from ...config.escaping import one_line
 
 RESULT = "result.json"
 
@@ -52,7 +52,7 @@ def read_result(folder: Path) -> ResultSummary | None:
         outcome = "result.json has another form than this version of levid writes"
     logs = found.get("logs")
     names = tuple(map(str, logs)) if isinstance(logs, list) else ()
-    return ResultSummary(folder, command, names, written, printable(outcome))
+    return ResultSummary(folder, command, names, written, one_line(outcome))
 
 
 def _traced(found: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import LogError
 from ..exporting.export_log import time_of
-from ..log_facts import file_date, flight_date, is_virtual, printable, rig_name, versions
+from ..log_facts import file_date, flight_date, is_virtual, rig_name, versions
 from ..log_stream import Block, LogStream
 
 
@@ -118,10 +118,10 @@ class _LogHead:
         self.virtual = is_virtual(first_ns)
         self.flown = flight_date(first_ns, log.attachments)
         self.rig = rig_name(log.attachments)
-        self.metadata = {key: printable(value) for key, value in log.metadata.items()}
-        self.session, self.note = self.metadata.get("session", ""), self.metadata.get("note", "")
-        self.kind, self.rate_hz = self.metadata.get("kind", ""), log.rate_hz
-        self.levid = printable(versions(log.attachments).get("levid", ""))
+        self.metadata = metadata = log.metadata
+        self.session, self.note = metadata.get("session", ""), metadata.get("note", "")
+        self.kind, self.rate_hz = metadata.get("kind", ""), log.rate_hz
+        self.levid = versions(log.attachments).get("levid", "")
         self.begin_s = float(time_of(log, first)[0])
         end_s = float(time_of(log, last)[-1])
         self.length_s = end_s - self.begin_s + 1.0 / log.rate_hz

@@ -12,6 +12,7 @@ from typing import Any
 
 import yaml
 
+from ...config.escaping import one_line
 from ..importing.signals_yaml import attached_signals
 from ..log_stream import LogStream
 from .columns import TIME, Column
@@ -55,7 +56,7 @@ def import_description(
             {"column": name, "name": name, "unit": column.unit or "1", **entry}
             for name in column.flat_names
         ]
-    lines = [f"# {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in facts.items()]
+    lines = [f"# {one_line(key)}: {json.dumps(value)}" for key, value in facts.items()]
     lines += ["levid: signals", f"rate_hz: {float(facts['rate_hz'])!r}", f"begins_s: {begin_s!r}"]
     if attached_signals(log.attachments) is None:
         lines.append("loop: {controller: unknown}")

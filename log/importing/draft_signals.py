@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...config.escaping import MOST_NAME, one_line
 from ...config.units import known_unit
 from ..errors import LogError
 from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
@@ -36,6 +37,9 @@ _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.]*")
 _WORDS = frozenset({"yes", "no", "on", "off", "true", "false", "null"})
 """Words that YAML does not read as text."""
 FILL_IN = "FILL_IN"
+_MOST_QUOTED = 200
+_MOST_STEM = MOST_NAME - 10
+"""Longest name made of a header: a number and a unit may follow."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,7 @@ def draft_signals(path: Path) -> Draft:
         ]
         fill_in = (*fill_in, f"role: {' and '.join(missing)}; the columns without a role are other")
     lines = [
-        f"# Draft for {_one_line(path.name)}",
+        f"# Draft for {_quoted(path.name)}",
         "# Check the lines marked 'check', and complete the lines marked 'fill in'.",
         "# docs/configuration.md, section SIGNALS.yaml, describes all keys.",
         "levid: signals",
@@ -97,7 +101,10 @@ def draft_signals(path: Path) -> Draft:
         *(_line(entry) for entry in entries),
     ]
     if found.others:
-        lines += ["# Not listed above:", *(f"#   {_one_line(other)}" for other in found.others)]
+        lines += [
+            "# Not listed above:",
+            *(f"#   {_quoted(other)}" for other in found.others),
+        ]
     check = tuple(f"{e.name}: {e.doubt}" for e in entries if e.doubt.startswith("check"))
     return Draft("\n".join(lines) + "\n", fill_in, check)
 
@@ -127,7 +134,11 @@ def _time(
         return _Entry(column, _unique("t", []), unit, 1.0, "time", doubt), rate, ()
     if found.rate is not None:
         name, rate_hz = found.rate
-        return None, [f"rate_hz: {rate_hz:.10g}   # check: from {_one_line(name)}"], ()
+        return (
+            None,
+            [f"rate_hz: {rate_hz:.10g}   # check: from {_quoted(name)}"],
+            (),
+        )
     line = f"rate_hz: {FILL_IN}   # fill in: samples per second"
     return None, [line], ("rate_hz: samples per second",)
 
@@ -215,7 +226,7 @@ def _usable(unit: str) -> str:
 
 
 def _unique(stem: str, taken: Iterable[str]) -> str:
-    stem = stem if stem[:1].isalpha() else f"column_{stem}"
+    stem = (stem if stem[:1].isalpha() else f"column_{stem}")[:_MOST_STEM].rstrip("_")
     names = {*taken, *_RESERVED}
     numbered = (f"{stem}_{number}" for number in range(2, 10_000))
     return stem if stem not in names else next(name for name in numbered if name not in names)
@@ -230,5 +241,6 @@ def _scalar(value: int | str) -> str:
     return json.dumps(value, ensure_ascii=not value.isprintable())
 
 
-def _one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in text)[:200]
+def _quoted(text: str) -> str:
+    """Return the start of a text for a comment."""
+    return one_line(text)[:_MOST_QUOTED]

@@ -9,14 +9,16 @@ from pydantic import Field, field_validator, model_validator
 
 from ...config.base import ConfigError, Finite, NonNegative, Positive, Strict, parse_text
 from ...config.controller import ControllerConfig
+from ...config.escaping import MOST_NAME
+from ...config.rig import Name as FileName
 from ...config.units import known_unit
 
 Role = Literal["input", "output", "reference", "excitation", "scheduling", "time", "other"]
 Format = Literal["csv", "text", "npz", "mat"]
 
 # A name becomes a field of a ros2msg, a unit its comment in brackets: hence the patterns.
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(_[a-z0-9]+)*$")]
-Unit = Annotated[str, Field(pattern=r"^[^\[\],#\s][^\[\],#\r\n\t]*$")]
+Name = Annotated[str, Field(max_length=MOST_NAME, pattern=r"^[a-z][a-z0-9]*(_[a-z0-9]+)*$")]
+Unit = Annotated[str, Field(max_length=MOST_NAME, pattern=r"^[^\[\],#\s][^\[\],#\r\n\t]*$")]
 Index = Annotated[int, Field(ge=0)]
 
 
@@ -105,7 +107,7 @@ class SignalsFile(Strict):
     """
 
     levid: Literal["signals"]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
+    name: FileName | None = None
     rate_hz: Positive | None = None
     resample: bool = False
     format: Format | None = None

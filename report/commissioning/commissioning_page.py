@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...config.escaping import shell_word
 from ...config.rig import RigConfig
 from ...daemon.commissioning.commission import Commissioned
 from ...daemon.commissioning.corrections import (
@@ -113,8 +113,8 @@ def _steps(written: Path | None) -> tuple[tuple[str, str], ...]:
     """Return the next steps with the corrected copy of RIG.yaml; None: there is none yet."""
     if written is None:
         return (("Repair these channels, and commission again", ""),)
-    copy = shlex.quote(str(written))
-    first = shlex.quote(str(written.with_stem(f"{written.stem}-first-lift")))
+    copy = shell_word(written)
+    first = shell_word(written.with_stem(f"{written.stem}-first-lift"))
     return (
         ("Check the corrected rig and what the daemon asks before a lift-off",
          f"levid check {copy} && levid check --preflight {copy}"),

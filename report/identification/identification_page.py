@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from ...config.escaping import shell_word
 from ...config.version import __version__
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
@@ -404,7 +404,7 @@ def _after_grey_box(
     least, tests = least_chance(report)
     worst = report.worst
     if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
-        where = None if session is None else shlex.quote(str(session.steps[0].path.parent))
+        where = None if session is None else shell_word(session.steps[0].path.parent)
         logs, out = ("LOG...", "DIR") if where is None else (f"{where}/*.mcap", f"{where}/trace")
         steps.append(("Find the effect that the model lacks.", f"levid trace {logs} --out {out}"))
     if fit.unidentifiable:

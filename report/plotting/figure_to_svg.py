@@ -5,10 +5,11 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass
-from html import escape
 
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
+from ...config.escaping import html_text, svg_texts, visible
 from .chart import Chart
 from .chart_from_figure import chart_of
 from .style import COLOURS, PAGE, Sheet, drawing
@@ -49,8 +50,8 @@ class Picture:
         body = re.sub(r'\bid="', f'id="{self.name}-', body)
         body = re.sub(r'(href="#|url\(#)', rf"\g<1>{self.name}-", body)
         body = re.sub(r"\b(fill|stroke): ?(#[0-9a-f]{6})", _variable, body)
-        label = escape(self.alt, quote=True)
-        return body.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
+        label = html_text(self.alt)
+        return f'<svg role="img" aria-label="{label}"{body.removeprefix("<svg")}'
 
 
 _ROLES = {colour.light: colour.role for colour in COLOURS}
@@ -63,11 +64,18 @@ def to_svg(figure: Figure, sheet: Sheet = PAGE) -> Svg:
     """
     with drawing(sheet):
         buffer = io.StringIO()
+        escape_texts(figure)
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
         chart = chart_of(figure)
-    svg = Svg(smaller_svg(buffer.getvalue()))
+    svg = Svg(smaller_svg(svg_texts(buffer.getvalue())))
     svg.chart = chart
     return svg
+
+
+def escape_texts(figure: Figure) -> None:
+    """Escape what no font has a glyph for and no XML may contain, in all texts of a figure."""
+    for text in figure.findobj(Text):
+        text.set_text(visible(text.get_text()))
 
 
 def _variable(match: re.Match[str]) -> str:

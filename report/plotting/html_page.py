@@ -19,6 +19,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from ...config.escaping import visible
 from ...config.files.atomic_write import write_file
 from ...config.files.folders import make_folder
 from ...config.version import __version__
@@ -211,12 +212,18 @@ def _environment() -> Environment:
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_without_controls,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters["kind"] = lambda part: type(part).__name__
     environment.filters["tied"] = _tied
     return environment
+
+
+def _without_controls(value: object) -> object:
+    """Return a value for the page; HTML has no control characters, so text shows their escapes."""
+    return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _tied(text: str) -> str:

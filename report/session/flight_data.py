@@ -217,7 +217,7 @@ def _reduced(log: Log, most_bins: int, event_rows: int) -> _Part:
     step = _step(log, t)
     lateness, execution = (_column(log, n) for n in ("lateness_s", "execution_s"))
     return _Part(
-        session=_printable(log.metadata.get("session", log.path.stem)),
+        session=log.metadata.get("session", log.path.stem),
         rate_hz=log.rate_hz,
         versions=_versions(log),
         step=step,
@@ -252,8 +252,8 @@ def _step(log: Log, t: Array) -> StepFlown:
         peak = float(np.max(np.abs(gaps))) if gaps.size else None
     return StepFlown(
         path=log.path,
-        kind=_printable(log.metadata.get("kind", "record")),
-        name=_printable(log.metadata.get("name", log.path.stem)),
+        kind=log.metadata.get("kind", "record"),
+        name=log.metadata.get("name", log.path.stem),
         start_s=float(t[0]),
         end_s=float(t[-1]),
         rows=len(t),
@@ -290,11 +290,6 @@ def _rms(x: NDArray[np.floating]) -> float:
 
 def _finite(x: NDArray[np.floating]) -> Array:
     return np.asarray(x[np.isfinite(x)], float)
-
-
-def _printable(text: str) -> str:
-    """Return text without control characters, which are invalid in XML."""
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _spans(log: Log, t: Array) -> list[Span]:

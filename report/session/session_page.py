@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from ...config.escaping import shell_word
 from ...daemon.control.states import State
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import (
@@ -59,7 +59,7 @@ def _session_page(session: Session, out_dir: Path) -> Path:
     folder = session.steps[0].path.parent
     next_step = ("Fly a session that excites every input, then identify it.", "")
     if any(step.excited for step in session.steps):
-        where = shlex.quote(str(folder))
+        where = shell_word(folder)
         command = f"levid identify {where}/*.mcap --out {where}/identification"
         next_step = ("Identify the plant from the records.", command)
     words = f"{session_words(session)} {_verdict(session)}".rstrip()

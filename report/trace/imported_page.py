@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from ...config.escaping import shell_word
 from ...config.model import EffectParameter
 from ...config.version import __version__
 from ...identification.trace.force_balance.reported_errors import ReportedError
@@ -327,7 +327,7 @@ def _records(trace: ForceTrace) -> Table:
 
 
 def _steps(result: ForceOutcome, out_dir: Path) -> Sequence[tuple[str, str]]:
-    model = shlex.quote(str(out_dir / "model.yaml"))
+    model = shell_word(out_dir / "model.yaml")
     if result.exchange is not None:
         again = (
             "Compare columns and units in the signals files with the rig, import and trace again."

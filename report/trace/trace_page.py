@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...config.escaping import shell_word
 from ...config.model import EffectParameter
 from ...identification.trace.figure_data import Views
 from ...identification.trace.found_effects_summary import outcome
@@ -227,7 +227,7 @@ def _numbers(result: Outcome) -> tuple[Number, ...]:
 
 
 def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
-    model = shlex.quote(str(out_dir / "model.yaml"))
+    model = shell_word(out_dir / "model.yaml")
     steps = []
     for f in result.effects:
         if f.evidence is not None and f.evidence.alternatives:

@@ -18,8 +18,11 @@ from .delimited_text import open_text, read_delimited
 from .header_units import HeaderCell, header_cell
 from .importer import file_format
 from .mat_file_reader import list_mat, read_mat
+from .number_cells import ANY_FORMAT, NumberFormat, Proof, is_missing, with_unit
+from .recording_rate import stated_rate
 from .signals_yaml import Format, SignalsFile
-from .text_layout import MISSING, date, number, rows, text_layout
+from .text_layout import TextLayout, is_value, rows, text_layout
+from .time_cells import stamp
 
 Array = NDArray[np.float64]
 
@@ -27,9 +30,6 @@ _SAMPLE_ROWS = 100
 _LEAST_SAMPLES = 10
 _MOST_SIGNALS = 32
 """Most signals of one matrix that are listed."""
-_PERIODS = ("ts", "dt", "sampletime", "samplingtime", "period", "tsample")
-_RATES = ("fs", "rate", "samplerate", "samplingrate", "fsample", "ratehz")
-"""Names of scalars with the sampling time in s and the rate in Hz, in lower case without '_'."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,8 @@ class FileColumn:
 class FileColumns:
     """Columns of numbers of one length; what else the file holds; where samples of a matrix are.
 
-    rate: name and value in Hz of a scalar that says the rate; None without one.
+    rate: name and value in Hz of an entry that says the rate; None without one. number_format:
+    signs of the numbers in a text file. two_meanings: a number of it that this leaves open.
     """
 
     format: Format
@@ -59,6 +60,8 @@ class FileColumns:
     others: tuple[str, ...] = ()
     samples: str = "rows"
     rate: tuple[str, float] | None = None
+    number_format: NumberFormat = ANY_FORMAT
+    two_meanings: str = ""
 
 
 def list_columns(path: Path) -> FileColumns:
@@ -75,33 +78,39 @@ def read_columns(path: Path, found: FileColumns) -> list[Array]:
 
     A column whose values cannot be read is empty.
     """
-    dates = [i for i, column in enumerate(found.columns) if column.dates]
-    others = [i for i in range(len(found.columns)) if i not in dates]
-    values = [np.empty(0)] * len(found.columns)
-    # Only a column of role time may hold dates, and only one column may have this role.
-    for group in (others, *([i] for i in dates)):
-        entries = [
-            {
-                "column": found.columns[i].column,
-                "index": found.columns[i].index,
-                "name": f"c{i}",
-                "unit": "s",
-                "role": "time" if found.columns[i].dates else "other",
-            }
-            for i in group
-        ]
-        if not entries:
-            continue
-        signals = SignalsFile.model_validate(
-            {"levid": "signals", "rate_hz": 1, "samples": found.samples, "columns": entries}
-        )
-        try:
-            read = _read(path, found.format, signals)
-        except LogError:
-            continue  # the import reports it with its line
-        for i, column_values in zip(group, read, strict=True):
-            values[i] = column_values
-    return values
+    whole = _read_group(path, found, range(len(found.columns)))
+    if whole is not None:
+        return whole
+    each = [_read_group(path, found, [i]) for i in range(len(found.columns))]
+    return [np.empty(0) if read is None else read[0] for read in each]
+
+
+def _read_group(path: Path, found: FileColumns, group: Sequence[int]) -> list[Array] | None:
+    """Return some columns; None if one cannot be read: the import reports it with its line."""
+    entries = [
+        {
+            "column": found.columns[i].column,
+            "index": found.columns[i].index,
+            "name": f"c{i}",
+            "unit": "s",
+            "role": "time" if found.columns[i].dates else "other",
+        }
+        for i in group
+    ]
+    signals = SignalsFile.model_validate(
+        {
+            "levid": "signals",
+            "rate_hz": 1,
+            "samples": found.samples,
+            "columns": entries,
+            "decimal": found.number_format.decimal,
+            "thousands": found.number_format.thousands,
+        }
+    )
+    try:
+        return _read(path, found.format, signals)
+    except LogError:
+        return None
 
 
 def _read(path: Path, kind: Format, signals: SignalsFile) -> list[Array]:
@@ -127,20 +136,45 @@ def _text_columns(path: Path, kind: Format) -> FileColumns:
     texts = [cell.text for cell in layout.cells or ()]
     for place in range(layout.width):
         cells = [row[place] for row in sample if place < len(row)]
-        text = texts[place] if texts else ""
+        text = texts[place] if place < len(texts) else ""
         # A name that is empty or occurs twice cannot be given.
         reference: int | str = text if text and texts.count(text) == 1 else place
-        values = [number(cell) for cell in cells if cell.lower() not in MISSING]
-        dates = [date(cell) for cell in cells]
-        if not values or (None in values and None in dates):
+        values = [cell for cell in cells if not is_missing(cell) and is_value(cell)]
+        if not values or 2 * len(values) < sum(not is_missing(cell) for cell in cells):
             others.append(f"column {place} {text!r}: no numbers")
             continue
         cell = layout.cells[place] if layout.cells else HeaderCell("", "")
-        if None in values:
+        if ANY_FORMAT.number(values[0]) is None and stamp(values[0]) is not None:
             columns.append(FileColumn(reference, cell.name or "time", "s", dates=True))
-        else:
-            columns.append(FileColumn(reference, cell.name, cell.unit))
-    return FileColumns(kind, tuple(columns), tuple(others))
+            continue
+        parts = None if ANY_FORMAT.number(values[0]) is not None else with_unit(values[0])
+        columns.append(FileColumn(reference, cell.name, cell.unit or (parts[2] if parts else "")))
+    number_format, open_number = _number_format(layout, sample)
+    return FileColumns(
+        kind,
+        tuple(columns),
+        tuple(others),
+        rate=stated_rate(layout.entries),
+        number_format=number_format,
+        two_meanings=open_number,
+    )
+
+
+def _number_format(layout: TextLayout, sample: Sequence[Sequence[str]]) -> tuple[NumberFormat, str]:
+    """Return the signs of the numbers that a SIGNALS.yaml must state, and a number left open."""
+    signs: list[tuple[str, Proof]] = list(layout.signs)
+    decimal = [sign for sign, proof in signs if proof == "decimal"]
+    thousands = [sign for sign, proof in signs if proof == "thousands"]
+    if thousands and thousands[0] not in decimal:
+        return NumberFormat(None, "." if thousands[0] == "." else ","), ""
+    for sign, proof in signs:
+        if proof == "either" and sign not in decimal:
+            cells = (row[i] for row in sample for i in layout.numeric if i < len(row))
+            shown = next((cell for cell in cells if sign in cell), "")
+            if decimal:
+                return NumberFormat(None, "." if sign == "." else ","), shown
+            return NumberFormat("." if sign == "." else ",", None), shown
+    return ANY_FORMAT, ""
 
 
 def _array_columns(kind: Format, variables: Sequence[Variable]) -> FileColumns:
@@ -194,12 +228,5 @@ def _described(variable: Variable) -> str:
 
 
 def _rate(variables: Sequence[Variable]) -> tuple[str, float] | None:
-    for variable in variables:
-        value, name = variable.value, variable.path.rpartition(".")[2].lower().replace("_", "")
-        if not isinstance(value, float) or not 0.0 < value < np.inf:
-            continue
-        if name in _PERIODS:
-            return f"{variable.path} = {value:g} s", 1.0 / value
-        if name in _RATES:
-            return f"{variable.path} = {value:g} Hz", value
-    return None
+    scalars = [(v.path, v.value) for v in variables if isinstance(v.value, float)]
+    return stated_rate(scalars)

@@ -5,11 +5,8 @@ from __future__ import annotations
 import codecs
 import csv
 import difflib
-import itertools
 import os
-from array import array
 from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
@@ -17,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import LogError
+from .column_reader import ColumnReader, check_signs
+from .header_units import header_cell
+from .number_cells import is_missing, strange_letters
 from .signals_yaml import Column, RowRange, SignalsFile
-from .text_layout import MISSING, Row, TextLayout, date, number, rows, text_layout
+from .text_layout import Row, TextLayout, is_value, rows, text_layout
 
 _ENCODING_BYTES = 1 << 16
 """Bytes at the beginning of a file that decide its encoding: header and first rows."""
@@ -54,8 +54,9 @@ def read_delimited(path: Path, signals: SignalsFile, *, whitespace: bool) -> Tex
     """Return columns of a text file; `whitespace`: whether white space is tried first as separator.
 
     A name in `signals` may omit the unit in the header. Cells without a value, and infinite ones,
-    become NaN. Decimal commas are accepted if they do not separate columns. Dates and times of day
-    (ISO) in a column of role time become seconds after the first.
+    become NaN. Decimal commas are accepted if they do not separate columns, separators of thousands
+    if `signals` states them. Dates and times of day in a column of role time become seconds after
+    the first.
 
     Raises:
         LogError: a cell or row does not fit; names its line in the file.
@@ -71,17 +72,17 @@ def read_delimited(path: Path, signals: SignalsFile, *, whitespace: bool) -> Tex
             file.seek(0)
             places = [column_place(path, column, layout) for column in signals.columns]
             lines = (row for row in rows(file, layout.separator) if row[0] >= layout.first_line)
-            values, notes = _read_rows(path, signals, layout, places, lines)
+            found, notes = _read_rows(path, signals, layout, places, lines)
     except (OSError, csv.Error) as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
-    for infinite in values:
+    for infinite in found.values:
         infinite[np.isinf(infinite)] = np.nan
     cells = layout.cells
-    return TextColumns(
-        values,
-        ["" if cells is None else cells[place].unit for place in places],
-        (*_notes(layout), *notes),
-    )
+    units = [
+        (cells[place].unit if cells is not None else "") or unit
+        for place, unit in zip(places, found.units, strict=True)
+    ]
+    return TextColumns(found.values, units, (*_notes(layout), *notes))
 
 
 def check_length(path: Path, rows: RowRange, count: int) -> None:
@@ -99,9 +100,20 @@ def column_place(path: Path, column: Column, layout: TextLayout) -> int:
             raise LogError(f"{where}: expected a column number from 0 to {layout.width - 1}")
         return column.column
     if layout.cells is None:
-        raise LogError(f"{where}: the file has no header; give the column's number")
-    found = [i for i, cell in enumerate(layout.cells) if cell.text == column.column]
-    found = found or [i for i, cell in enumerate(layout.cells) if cell.name == column.column]
+        misfit = layout.misfit
+        if misfit and layout.separator == "," and layout.width == 2 * misfit[1]:
+            raise LogError(
+                f"{path}: line {misfit[0]}: expected {layout.width} names, as the rows have cells, "
+                f"found {misfit[1]}; if commas are decimal commas, separate the columns by "
+                "semicolons or tabs"
+            )
+        above = (
+            f" (line {misfit[0]} has {misfit[1]} cells, the rows {layout.width})" if misfit else ""
+        )
+        raise LogError(f"{where}: the file has no header{above}; give the column's number")
+    name = header_cell(column.column).text
+    found = [i for i, cell in enumerate(layout.cells) if cell.text == name]
+    found = found or [i for i, cell in enumerate(layout.cells) if cell.name == name]
     if len(found) == 1:
         return found[0]
     texts = [cell.text for cell in layout.cells if cell.text]
@@ -114,9 +126,10 @@ def column_place(path: Path, column: Column, layout: TextLayout) -> int:
         )
         times = "twice" if len(found) == 2 else f"{len(found)} times"
         raise LogError(f"{where}: expected once in the header, found {times}{remedy}")
-    close = difflib.get_close_matches(column.column, texts, n=3) or texts[:20]
+    close = difflib.get_close_matches(name, texts, n=3) or texts[:20]
+    strange = strange_letters("".join([name, *close]))
     raise LogError(
-        f"{where}: expected once in the header, found nowhere; there is {', '.join(close)}"
+        f"{where}: expected once in the header, found nowhere; there is {', '.join(close)}{strange}"
     )
 
 
@@ -126,27 +139,46 @@ def _read_rows(
     layout: TextLayout,
     places: list[int],
     lines: Iterator[Row],
-) -> tuple[list[NDArray[np.float64]], list[str]]:
-    """Return the columns, each (n,), and a note if the last line is not complete."""
-    cells_of = [
-        (column, place, array("d")) for column, place in zip(signals.columns, places, strict=True)
-    ]
-    parser = _CellParser(path)
+) -> tuple[TextColumns, list[str]]:
+    """Return the columns, each (n,), and notes on lines that are left out."""
+    readers = [ColumnReader(path, column, signals, layout) for column in signals.columns]
+    places_of = list(zip(readers, places, strict=True))
+    last_place = max(layout.numeric, default=0)
+    header_lines = set(layout.header_lines)
     first, end = signals.rows.first, signals.rows.end
-    count = 0
-    notes = []
-    for line, cells in itertools.islice(lines, end):
-        if len(cells) < layout.width and next(lines, None) is None and _last_line_is_cut(path):
-            notes.append(f"line {line}, the last one, is not complete; it is left out")
+    count, texts, notes = 0, [], []
+    for line, cells in lines:
+        if count == end:
             break
+        if len(cells) != layout.width:
+            if _is_text(cells, layout):
+                texts.append(line)
+                continue
+            if len(cells) <= last_place and next(lines, None) is None and _last_line_is_cut(path):
+                notes.append(f"line {line}, the last one, is not complete; it is left out")
+                break
+            cells = _fitted(f"{path}: line {line}", cells, layout, last_place)  # noqa: PLW2901
+        elif tuple(cells) in header_lines:
+            texts.append(line)
+            continue
         if count >= first:
-            if len(cells) != layout.width:
-                _check_width(f"{path}: line {line}", cells, layout)
-            for column, place, values in cells_of:
-                values.append(parser.number(line, column, cells[place]))
+            for reader, place in places_of:
+                reader.read(line, cells[place])
         count += 1
     check_length(path, signals.rows, count)
-    return [np.array(values, np.float64) for _, _, values in cells_of], notes
+    check_signs(path, readers, layout)
+    if texts:
+        numbers = f"line {texts[0]}" if len(texts) == 1 else f"{len(texts)} lines"
+        where = "" if len(texts) == 1 else f" (lines {texts[0]} to {texts[-1]})"
+        notes.append(f"{numbers} of text between or below the rows left out{where}")
+    notes += [note for reader in readers for note in reader.notes()]
+    return TextColumns([reader.values() for reader in readers], [r.unit for r in readers]), notes
+
+
+def _is_text(cells: list[str], layout: TextLayout) -> bool:
+    """Return whether a line of another length is no row: a comment, an entry, a second header."""
+    inside = [cells[i] for i in layout.numeric if i < len(cells)]
+    return not any(map(is_value, inside)) or not (is_value(cells[0]) or is_missing(cells[0]))
 
 
 def _last_line_is_cut(path: Path) -> bool:
@@ -156,72 +188,18 @@ def _last_line_is_cut(path: Path) -> bool:
         return not set(file.read()) & set(b"\r\n")
 
 
-def _check_width(where: str, cells: list[str], layout: TextLayout) -> None:
-    if len(cells) == layout.width + 1 and not cells[-1]:
-        return
+def _fitted(where: str, cells: list[str], layout: TextLayout, last_place: int) -> list[str]:
+    """Return the cells of a row in the layout's width; raise LogError if numbers lack or exceed."""
+    if len(cells) > layout.width and not any(cells[layout.width :]):
+        return cells[: layout.width]
+    if last_place < len(cells) < layout.width:
+        return [*cells, *[""] * (layout.width - len(cells))]
     remedy = ""
-    if layout.separator == "," and len(cells) > layout.width:
+    if layout.separator == "," and len(cells) == 2 * layout.width:
         remedy = "; if commas are decimal commas, separate the columns by semicolons or tabs"
     raise LogError(
         f"{where}: expected {layout.width} cells, as in the first row, found {len(cells)}{remedy}"
     )
-
-
-class _CellParser:
-    """Convert cells to numbers; raise LogError for a file with decimal points and commas."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._point = self._comma = False
-        self._first_date: dict[str, datetime] = {}
-
-    def number(self, line: int, column: Column, cell: str) -> float:
-        """Return a cell's number; NaN for a cell without a value."""
-        try:
-            value = float(cell)
-        except ValueError:
-            return self._other(line, column, cell)
-        if "_" in cell:
-            return self._other(line, column, cell)
-        if not self._point and "." in cell:
-            self._set(line, column, cell, point=True)
-        return value
-
-    def _other(self, line: int, column: Column, cell: str) -> float:
-        if cell.lower() in MISSING:
-            return float("nan")
-        value = number(cell)
-        if value is not None:
-            self._set(line, column, cell, comma=True)
-            return value
-        when = date(cell) if column.role == "time" else None
-        if when is None:
-            remedy = ""
-            if "," in cell and "." in cell:
-                remedy = "; remove the separators of thousands"
-            raise LogError(
-                f"{self._path}: line {line}, {column.label}: expected a number, found "
-                f"{cell[:40]!r}{remedy}"
-            )
-        if column.unit != "s":
-            raise LogError(
-                f"{self._path}: {column.label}: dates and times of day are converted to s; "
-                f"expected unit: s, found {column.unit}"
-            )
-        first = self._first_date.setdefault(column.name, when)
-        return (when - first).total_seconds()
-
-    def _set(
-        self, line: int, column: Column, cell: str, *, point: bool = False, comma: bool = False
-    ) -> None:
-        self._point |= point
-        self._comma |= comma
-        if self._point and self._comma:
-            raise LogError(
-                f"{self._path}: line {line}, {column.label}: expected decimal points or decimal "
-                f"commas in the whole file, found both: {cell!r} after other numbers with a "
-                f"{'comma' if point else 'point'}"
-            )
 
 
 def _notes(layout: TextLayout) -> tuple[str, ...]:

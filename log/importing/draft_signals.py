@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from ...config.escaping import MOST_NAME, one_line
 from ...config.units import known_unit
 from ..errors import LogError
+from .clock_restarts import continuous_time
 from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
-from .header_units import is_time_name
-from .time_grid import fit_grid
+from .header_units import header_unit
+from .number_cells import NumberFormat
+from .time_columns import ClockColumn, NamedColumn, combined_time_s, find_clock
+from .time_grid import TimeGrid, fit_grid
 
 Array = NDArray[np.float64]
 
@@ -40,6 +43,11 @@ FILL_IN = "FILL_IN"
 _MOST_QUOTED = 200
 _MOST_STEM = MOST_NAME - 10
 """Longest name made of a header: a number and a unit may follow."""
+_TIME_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+_RATE_DIFFERENCE = 0.01
+"""Relative difference of the rate that a file states from that of its time stamps, to report."""
+_SHOWN_VALUES = 5
+_TWO_CLOCKS = "check: a second clock: delete this line unless it adds to the time"
 
 
 @dataclass(frozen=True)
@@ -75,8 +83,10 @@ def draft_signals(path: Path) -> Draft:
         listed = "; ".join(found.others[:20]) or "nothing"
         raise LogError(f"{path}: expected columns of numbers of one length, found {listed}")
     values = read_columns(path, found)
-    time, rate_lines, fill_in = _time(path, found, values)
-    entries = _entries(found.columns, values, time)
+    clocks, rate_lines, fill_in = _time(path, found, values)
+    entries = _entries(found.columns, values, clocks)
+    sign_lines, open_signs = _signs(found)
+    fill_in = (*open_signs, *fill_in)
     roles = {entry.role for entry in entries}
     missing = [role for role in ("input", "output") if role not in roles]
     if missing:
@@ -92,6 +102,7 @@ def draft_signals(path: Path) -> Draft:
         "# Check the lines marked 'check', and complete the lines marked 'fill in'.",
         "# docs/configuration.md, section SIGNALS.yaml, describes all keys.",
         "levid: signals",
+        *sign_lines,
         *rate_lines,
         *(["samples: columns"] if found.samples == "columns" else []),
         "# input_hold: zoh   # input between samples: held (zoh), linear (foh), or band_limited",
@@ -109,64 +120,97 @@ def draft_signals(path: Path) -> Draft:
     return Draft("\n".join(lines) + "\n", fill_in, check)
 
 
+def _signs(found: FileColumns) -> tuple[list[str], tuple[str, ...]]:
+    """Return the lines on decimal signs and separators of thousands, and what to fill in."""
+    signs = found.number_format
+    lines = [f'decimal: "{signs.decimal}"'] if signs.decimal else []
+    lines += [f'thousands: "{signs.thousands}"'] if signs.thousands else []
+    if not found.two_meanings:
+        return lines, ()
+    sign = signs.decimal or signs.thousands or "."
+    assert sign in (".", ",")
+    shown = _quoted(found.two_meanings)
+    as_decimal = NumberFormat(decimal="." if sign == "." else ",").number(found.two_meanings)
+    as_group = NumberFormat(thousands="." if sign == "." else ",").number(found.two_meanings)
+    question = (
+        f'decimal: "{sign}" if {shown} means {as_decimal:g}, thousands: "{sign}" if it means '
+        f"{as_group:g}"
+    )
+    return [f"decimal: {FILL_IN}   # fill in: {question}"], (question,)
+
+
 def _time(
     path: Path, found: FileColumns, values: Sequence[Array]
-) -> tuple[_Entry | None, list[str], tuple[str, ...]]:
-    """Return the column with the time, the lines on the rate, and what to fill in."""
-    for number in _time_candidates(found.columns, values):
-        column = found.columns[number]
-        unit = column.unit or "s"
-        known = known_unit(unit)
-        assert known is not None
-        doubt = "" if column.unit else "check: unit"
-        unit = known.si if known.factor == 1.0 else unit
+) -> tuple[tuple[ClockColumn, ...], list[str], tuple[str, ...]]:
+    """Return the columns with the time, the lines on the rate, and what to fill in."""
+    named = [NamedColumn(c.label, c.unit, c.dates) for c in found.columns]
+    rate_hz = found.rate[1] if found.rate else None
+    clocks = find_clock(named, values, rate_hz)
+    if clocks and clocks[0].unknown:
+        rates = [f"{u} for {_rate_hz(path, clocks, values, f):.4g} Hz" for u, f in _TIME_UNITS]
+        name = found.columns[clocks[0].index].label
+        return clocks, [], (f"unit of {name}: {', '.join(rates)}",)
+    if clocks:
         try:
-            time_s = known.factor * values[number][~np.isnan(values[number])]
-            grid = fit_grid(str(path), time_s, np.arange(len(time_s)))
-        except LogError:
-            continue
+            grid = _grid(path, clocks, values)
+        except LogError as error:
+            reason = _quoted(str(error).removeprefix(f"{path}: "))
+            return clocks, [f"# check: the time: {reason}"], ()
         rate = [f"# The time column gives the rate, {1.0 / grid.period_s:.6g} Hz."]
         if not grid.regular:
             rate = [
                 "# The time stamps are irregular. This key interpolates them to a constant rate:",
                 "# resample: true",
             ]
-        return _Entry(column, _unique("t", []), unit, 1.0, "time", doubt), rate, ()
+        elif rate_hz is not None and abs(rate_hz * grid.period_s - 1.0) > _RATE_DIFFERENCE:
+            assert found.rate is not None
+            rate.append(f"# check: the file says {_quoted(found.rate[0])}")
+        return clocks, rate, ()
     if found.rate is not None:
         name, rate_hz = found.rate
-        return (
-            None,
-            [f"rate_hz: {rate_hz:.10g}   # check: from {_quoted(name)}"],
-            (),
-        )
+        return (), [f"rate_hz: {rate_hz:.10g}   # check: from {_quoted(name)}"], ()
     line = f"rate_hz: {FILL_IN}   # fill in: samples per second"
-    return None, [line], ("rate_hz: samples per second",)
+    return (), [line], ("rate_hz: samples per second",)
 
 
-def _time_candidates(columns: Sequence[FileColumn], values: Sequence[Array]) -> list[int]:
-    """Return columns that may hold the time: by name, by unit, or the first of unnamed ones."""
+def _grid(
+    path: Path, clocks: Sequence[ClockColumn], values: Sequence[Array], factor: float = 1.0
+) -> TimeGrid:
+    time_s = combined_time_s(
+        str(path), [factor * clock.seconds(values) for clock in clocks], [""] * len(clocks)
+    )
+    time_s = time_s[~np.isnan(time_s)]
+    row = np.arange(len(time_s))
+    time_s, _ = continuous_time(str(path), time_s, row, clocks[0].unit_s)
+    return fit_grid(str(path), time_s, row)
 
-    def is_time(column: FileColumn) -> bool:
-        unit = known_unit(column.unit) if column.unit else None
-        if unit is not None:
-            return unit.si == "s"
-        return not column.unit and is_time_name(column.label)
 
-    named = [i for i, column in enumerate(columns) if is_time(column)]
-    first = not columns[0].label and len(values[0]) > 1 and np.all(np.diff(values[0]) > 0.0)
-    return named or ([0] if first else [])
+def _rate_hz(
+    path: Path, clocks: Sequence[ClockColumn], values: Sequence[Array], factor: float
+) -> float:
+    try:
+        return 1.0 / _grid(path, clocks, values, factor).period_s
+    except LogError:
+        return float("nan")
 
 
 def _entries(
-    columns: Sequence[FileColumn], values: Sequence[Array], time: _Entry | None
+    columns: Sequence[FileColumn], values: Sequence[Array], clocks: Sequence[ClockColumn]
 ) -> list[_Entry]:
+    clock_of = {clock.index: clock for clock in clocks}
     words = [set(_words(column.label)) for column in columns]
     has_voltage = any(own & _VOLTAGE for own in words)
     entries: list[_Entry] = []
     for number, (column, own) in enumerate(zip(columns, words, strict=True)):
         taken = [entry.name for entry in entries]
-        if time is not None and column == time.column:
-            entries.append(replace(time, name=_unique("t", taken)))
+        if (clock := clock_of.get(number)) is not None:
+            unit, name = FILL_IN if clock.unknown else clock.unit, _unique("t", taken)
+            doubt = "fill in: unit" if clock.unknown else clock.doubt
+            span = "" if column.dates else _span(values[number], column.unit)
+            entries.append(_Entry(column, name, unit, clock.scale, "time", doubt, span))
+            continue
+        if column.dates:
+            entries.append(_Entry(column, _unique("date_s", taken), "s", 1.0, "time", _TWO_CLOCKS))
             continue
         role, doubt = "other", ""
         if own & _CURRENT and has_voltage:
@@ -177,7 +221,7 @@ def _entries(
             role, doubt = "input", "check: role"
         elif own & _OUTPUTS and not own & _INPUTS:
             role, doubt = "output", "check: role"
-        known = known_unit(column.unit) if column.unit else None
+        known = known_unit(header_unit(column.unit) or column.unit) if column.unit else None
         unit, scale = (known.si, known.factor) if known else (_usable(column.unit), 1.0)
         if not column.unit and doubt:
             doubt = f"{doubt}, unit"
@@ -202,11 +246,14 @@ def _line(entry: _Entry) -> str:
 
 
 def _span(values: Array, unit: str) -> str:
-    """Return the range of a column in the unit of the file."""
+    """Return the range of a column and five values of it, in the unit of the file."""
     known = values[~np.isnan(values)]
     if not len(known):
         return ""
-    return f"values {known.min():.4g} to {known.max():.4g}{f' {_usable(unit)}' if unit else ''}"
+    some = known[np.linspace(0, len(known) - 1, _SHOWN_VALUES).astype(int)]
+    named = f" {_usable(unit)}" if unit else ""
+    listed = ", ".join(f"{value:.6g}" for value in some)
+    return f"values {known.min():.4g} to {known.max():.4g}{named}, such as {listed}"
 
 
 def _words(text: str) -> list[str]:

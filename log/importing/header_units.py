@@ -4,15 +4,41 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from dataclasses import dataclass
 
 from ...config.units import known_unit
 
-_BRACKETED = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$")
+_BRACKETS = re.compile(r"\s*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)\s*")
 _DIVIDED = re.compile(r"^(?P<name>[^/]*?)\s*/\s*(?P<unit>\S+)$")
+_WORDED = re.compile(r"^(?P<name>.*?)(?:\bin\s+|,\s*|:\s*|\s-\s)(?P<unit>\S+)$")
 _ENDING = re.compile(r"^(?P<name>.+)_(?P<unit>[A-Za-z]+)$")
-_TIMES = ("t", "time", "zeit", "timestamp", "time_stamp")
-"""Names of times, in lower case: an ending `_s` is their unit."""
+_TIMES = frozenset(
+    {"t", "time", "times", "zeit", "temps", "timestamp", "stamp", "timestamps", "clock", "sec"}
+    | {"secs", "second", "seconds", "millis", "micros", "nanos", "nsec", "nsecs", "nanosec"}
+    | {"nanosecs", "nanoseconds", "usec", "msec", "milliseconds", "microseconds", "date"}
+    | {"datetime", "uhrzeit", "datum", "tijd", "tiempo", "tempo"}
+)
+"""Words, in lower case, one of which the name of a time has."""
+_NO_TIMES = frozenset({"seq", "ref", "count", "constant", "settling", "rise", "execution", "cycle"})
+"""Words that make it another quantity."""
+_WORDS = {
+    **dict.fromkeys(("volt", "volts"), "V"),
+    **dict.fromkeys(("amp", "amps", "ampere", "amperes"), "A"),
+    **dict.fromkeys(("second", "seconds", "sec", "secs"), "s"),
+    **dict.fromkeys(("millisecond", "milliseconds", "msec", "msecs"), "ms"),
+    **dict.fromkeys(("microsecond", "microseconds", "usec", "usecs"), "us"),
+    **dict.fromkeys(("nanosecond", "nanoseconds", "nsec", "nsecs", "nanosec", "nanosecs"), "ns"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("micrometer", "micrometers", "micron", "microns"), "um"),
+    **dict.fromkeys(("degree", "degrees", "degs", "grad"), "deg"),
+    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("u/min", "1/min", "rev/min", "min-1", "r/min"), "rpm"),
+    **dict.fromkeys(("hertz", "sa/s", "samples/s", "samples/sec", "sps"), "Hz"),
+}
+"""Units written as words, in lower case."""
 
 
 @dataclass(frozen=True)
@@ -24,28 +50,45 @@ class HeaderCell:
     unit: str = ""
 
 
-def header_cell(text: str) -> HeaderCell:
-    """Split the text of a header cell: Position [mm], Current (A), time/s, position_mm.
+def header_unit(text: str) -> str | None:
+    """Return a unit in a spelling that known_unit reads, such as V for VOLT; None if unknown."""
+    text = unicodedata.normalize("NFKC", text).strip()
+    if known_unit(text) is not None and text != "-":
+        return text
+    return _WORDS.get(text.lower())
 
-    Brackets always hold a unit. After a slash or an underscore only a known unit counts, and a
-    single letter after an underscore does only for times: `i_a` is a current of the armature.
+
+def header_cell(text: str) -> HeaderCell:
+    """Split the text of a header cell: Position [mm], Current (A), time/s, position_mm, C1 in V.
+
+    Brackets hold a unit. Elsewhere only a known unit counts, and a single letter after an
+    underscore does only for times: `i_a` is a current of the armature.
     """
-    text = text.strip()
-    if found := _BRACKETED.match(text):
-        unit = found["square"] if found["square"] is not None else found["round"]
-        return HeaderCell(text, found["name"] or text, unit.strip())
-    if (found := _DIVIDED.match(text)) and known_unit(found["unit"]) and found["name"]:
-        return HeaderCell(text, found["name"], found["unit"])
-    if (found := _ENDING.match(text)) and known_unit(found["unit"]):
-        unit = found["unit"]
-        if (len(unit) > 1 and unit != "min") or (unit == "s" and is_time_name(found["name"])):
-            return HeaderCell(text, found["name"], unit)
+    text = " ".join(unicodedata.normalize("NFC", text).split())
+    brackets = [
+        (found, next(g for g in found.groups() if g is not None).strip())
+        for found in _BRACKETS.finditer(text)
+    ]
+    known = [each for each in brackets if header_unit(each[1])]
+    last = [each for each in brackets if each[0].end() == len(text)]
+    for found, unit in [*known[-1:], *last]:
+        name = f"{text[: found.start()]} {text[found.end() :]}".strip()
+        return HeaderCell(text, name or text, unit)
+    for pattern in (_DIVIDED, _WORDED):
+        match = pattern.match(text)
+        if match and header_unit(match["unit"]) and (match["name"].strip() or pattern is _WORDED):
+            return HeaderCell(text, match["name"].strip() or text, match["unit"])
+    if (ending := _ENDING.match(text)) and known_unit(ending["unit"]):
+        unit = ending["unit"]
+        if (len(unit) > 1 and unit != "min") or (unit == "s" and is_time_name(ending["name"])):
+            return HeaderCell(text, ending["name"], unit)
     return HeaderCell(text, text)
 
 
 def is_time_name(name: str) -> bool:
     """Return whether a column's name without unit says that it holds the time."""
-    return name.strip().lower().replace(" ", "_") in _TIMES
+    words = set(re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()))
+    return bool(words & _TIMES) and not words & _NO_TIMES
 
 
 def unit_slip(header: str, unit: str, scale: float) -> str | None:
@@ -55,7 +98,7 @@ def unit_slip(header: str, unit: str, scale: float) -> str | None:
     """
     if header == unit.replace(" ", "").lower():
         return None  # a column's name in small letters: nm is N m too
-    ours, theirs = known_unit(unit), known_unit(header)
+    ours, theirs = known_unit(unit), known_unit(header_unit(header) or header)
     if ours is None or theirs is None:
         return None
     if ours.si == theirs.si:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import hashlib
 import math
 from contextlib import ExitStack
@@ -20,6 +21,7 @@ from .data_suffixes import FORMAT_OF_SUFFIX
 from .delimited_text import TextColumns, read_delimited
 from .header_units import unit_slip
 from .mat_file_reader import read_mat
+from .repaired_readings import repaired
 from .signals_yaml import Format, Role, SignalsFile
 from .uniform_rows import UniformPart, UniformRows, uniform_rows
 
@@ -30,6 +32,8 @@ TOPIC = "/levid/signals"
 REMARKS = "remarks"
 """Metadata of an imported log: what the import changed, a line for each remark."""
 _NEEDED: tuple[Role, ...] = ("input", "output")
+_SNIFFED_BYTES = 4096
+_FIRST_PRINTABLE = 0x20
 _LONGEST_S = 9e9
 """MCAP readers expect times in ns that fit a signed 64-bit integer."""
 
@@ -69,9 +73,10 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> Imported
     data_path, signals_path, out_path = Path(data_path), Path(signals_path), Path(out_path)
     signals = load_yaml(signals_path, SignalsFile)
     raw = _raw_columns(data_path, signals)
+    readings = repaired(str(data_path), signals, raw.values)
     values = [
         _scaled(f"{data_path}: {column.label}", column_values, column.scale, column.offset, signals)
-        for column, column_values in zip(signals.columns, raw.values, strict=True)
+        for column, column_values in zip(signals.columns, readings.values, strict=True)
     ]
     data = uniform_rows(str(data_path), signals, values)
     last = data.parts[-1].place + len(data.parts[-1].values)
@@ -91,13 +96,14 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> Imported
         "source": data_path.name,
         "source_sha256": sha256,
     }
-    if data.remarks:
-        metadata[REMARKS] = "\n".join(data.remarks)
+    remarks = (*readings.remarks, *data.remarks)
+    if remarks:
+        metadata[REMARKS] = "\n".join(remarks)
     logs = _write(out_path, signals, signals_path.read_bytes(), data, metadata)
     return Imported(
         tuple(logs),
         data.rate_hz,
-        (*raw.notes, *data.remarks, *_clipping(signals, values)),
+        (*raw.notes, *remarks, *_clipping(signals, values)),
         tuple(_unit_warnings(data_path, signals_path, signals, raw.units)),
         tuple(role for role in _NEEDED if not signals.with_role(role)),
     )
@@ -156,14 +162,26 @@ def _scaled(where: str, raw: Array, scale: float, offset: float, signals: Signal
 def file_format(path: Path, stated: Format | None = None) -> Format:
     """Return the format of a data file, by its suffix if it is not stated; raise LogError."""
     kind = stated or FORMAT_OF_SUFFIX.get(path.suffix.lower())
-    if kind is None:
-        raise LogError(
-            f"{path}: expected one of {', '.join(FORMAT_OF_SUFFIX)}; "
-            "for another suffix set format: csv, text, npz or mat in the signals file"
-        )
     if not path.is_file():
         raise LogError(f"{path}: expected a file, found {'a folder' if path.exists() else 'none'}")
+    if kind is None and _is_text(path):
+        return "text"
+    if kind is None:
+        raise LogError(
+            f"{path}: expected a text file, or one of {', '.join(FORMAT_OF_SUFFIX)}; for another "
+            "suffix set format: csv, text, npz or mat in the signals file; of a spreadsheet or "
+            "another binary file, export the data as CSV"
+        )
     return kind
+
+
+def _is_text(path: Path) -> bool:
+    """Return whether a file holds text: UTF-16 begins with a mark, others have no zero bytes."""
+    with path.open("rb") as file:
+        beginning = file.read(_SNIFFED_BYTES)
+    marked = beginning.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    controls = sum(byte < _FIRST_PRINTABLE and byte not in b"\t\n\r\f" for byte in beginning)
+    return bool(beginning) and (marked or controls == 0)
 
 
 def _raw_columns(path: Path, signals: SignalsFile) -> TextColumns:

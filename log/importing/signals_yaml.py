@@ -20,6 +20,7 @@ Format = Literal["csv", "text", "npz", "mat"]
 Name = Annotated[str, Field(max_length=MOST_NAME, pattern=r"^[a-z][a-z0-9]*(_[a-z0-9]+)*$")]
 Unit = Annotated[str, Field(max_length=MOST_NAME, pattern=r"^[^\[\],#\s][^\[\],#\r\n\t]*$")]
 Index = Annotated[int, Field(ge=0)]
+MissingText = Annotated[str, Field(min_length=1)]
 
 
 class Column(Strict):
@@ -32,6 +33,10 @@ class Column(Strict):
 
     An excitation is added to the input `of`. For an output, `noise_sd` is the standard deviation of
     its white noise, and `resolution` its smallest step, both in `unit`; estimated if not given.
+
+    `wraps`: the file's values begin again after this range, as an angle does after 360 degrees and
+    a counter of 16 bit after 65536; `none` keeps such jumps. `outliers`: whether single values far
+    from their neighbours are left out.
     """
 
     column: Index | Annotated[str, Field(min_length=1)]
@@ -44,6 +49,8 @@ class Column(Strict):
     of: Name | None = None
     noise_sd: Positive | None = None
     resolution: NonNegative | None = None
+    wraps: Positive | Literal["none"] | None = None
+    outliers: Literal["mask", "keep"] = "mask"
 
     @field_validator("role", mode="before")
     @classmethod
@@ -98,9 +105,13 @@ class Loop(Strict):
 class SignalsFile(Strict):
     """SIGNALS.yaml.
 
-    The file's suffix gives `format` if it is not set. `input_hold`: how the inputs behave between
-    samples. `samples`: whether rows or columns of a matrix (NPZ, MAT) are samples. A column of role
-    `time` gives the rate if `rate_hz` is not set. `resample`: interpolate irregular time stamps.
+    The file's suffix or content gives `format` if it is not set. `decimal` and `thousands`: signs
+    in the numbers of a text file, needed only where a number such as 1.234 has two meanings.
+    `missing`: numbers or texts that mean that there is no value. `input_hold`: how the inputs
+    behave between samples. `samples`: whether rows or columns of a matrix (NPZ, MAT) are samples. A
+    column of role `time` gives the rate if `rate_hz` is not set; several such columns, as a date
+    and a time of day or seconds and nanoseconds, are added. `resample`: interpolate irregular time
+    stamps.
     `begins_s`: time of the first row since the session began; a trace searches drifts and
     vibrations in records of one session that do not overlap. `loop`: the control loop; without it
     the inputs do not depend on the outputs.
@@ -111,6 +122,9 @@ class SignalsFile(Strict):
     rate_hz: Positive | None = None
     resample: bool = False
     format: Format | None = None
+    decimal: Literal[".", ","] | None = None
+    thousands: Literal[".", ",", " ", "'"] | None = None
+    missing: tuple[Finite | MissingText, ...] = ()
     rows: RowRange = RowRange()
     begins_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     samples: Literal["rows", "columns"] = "rows"
@@ -150,6 +164,14 @@ class SignalsFile(Strict):
         return self
 
     @model_validator(mode="after")
+    def _different_signs(self) -> Self:
+        if self.decimal is not None and self.decimal == self.thousands:
+            raise ValueError(
+                f"thousands: expected another sign than decimal, found '{self.thousands}' for both"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _distinct_names(self) -> Self:
         taken = {"time_s", "cycle"}
         for column in self.columns:
@@ -164,9 +186,6 @@ class SignalsFile(Strict):
     @model_validator(mode="after")
     def _rate_is_known(self) -> Self:
         times = self.with_role("time")
-        if len(times) > 1:
-            names = ", ".join(column.name for column in times)
-            raise ValueError(f"expected at most one column of role time, found {names}")
         if not times and self.rate_hz is None:
             raise ValueError("expected rate_hz or a column of role time, found neither")
         if not times and self.resample:

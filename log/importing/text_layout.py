@@ -1,28 +1,35 @@
-"""Find separator, header and units of a text file with columns of numbers."""
+"""Find the table in a text file: separator, rows of numbers, header, units and further entries.
+
+No format is known by name. The table is the largest block of rows with numbers in the same columns;
+the lines above it are searched for names, units and entries such as the sampling interval.
+"""
 
 from __future__ import annotations
 
 import csv
 import itertools
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 
 from ...config.units import known_unit
-from .header_units import HeaderCell, header_cell
+from .header_units import HeaderCell, header_cell, header_unit
+from .number_cells import ANY_FORMAT, Proof, is_missing, sign_meaning, with_unit
+from .time_cells import stamp
 
 Row = tuple[int, list[str]]
 """Line number, from 1, and cells without spaces around them."""
 
-MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "?"})
-"""Cells, in lower case, that hold no value."""
-_SAMPLE_LINES = 300
-_LONGEST_UNIT = 8
+_SAMPLE_LINES = 1000
+_LONGEST_UNIT = 12
 """Most characters of a cell in a header line that holds units."""
-_DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?")
 _COMMENTS = ("#", "%")
+_HEADER_LINES = 8
+"""Most lines above the first row of numbers that may hold names or units of the columns."""
+_AHEAD = 10
+"""Rows after the first one of a table that are mostly rows of numbers too."""
+_FILLED = 0.6
+"""Least share of the columns for which a header line has a text."""
 
 
 @dataclass(frozen=True)
@@ -30,49 +37,62 @@ class TextLayout:
     """Layout of a text file.
 
     separator: None for white space. cells: the header, None for a file without one. width: cells in
-    a row. first_line: line number of the first row of numbers. skipped: number of lines above the
-    header that are neither comments nor blank.
+    a row. numeric: indices of the columns with numbers or dates. first_line: line number of the
+    first row of numbers. header_lines: cells of the lines that hold names and units; some programs
+    repeat them. entries: further names and values above the table, as text. skipped: number of
+    lines above the header that are neither comments nor blank. signs: points and commas in numbers
+    of the first rows, and what they must be. misfit: line above the table with another number of
+    cells, and that number.
     """
 
     separator: str | None
     cells: tuple[HeaderCell, ...] | None
     width: int
+    numeric: tuple[int, ...]
     first_line: int
+    header_lines: tuple[tuple[str, ...], ...] = ()
+    entries: tuple[tuple[str, str], ...] = ()
     skipped: int = 0
+    signs: tuple[tuple[str, Proof], ...] = ()
+    misfit: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The rows of a sample that a separator gives, and where the table is in them."""
+
+    separator: str | None
+    sample: list[Row]
+    start: int
+    width: int
+    numeric: tuple[int, ...]
+    values: float
+
+    @property
+    def named(self) -> bool:
+        """Whether the line above the table has a cell for each column, or there is none."""
+        above = self.sample[self.start - 1][1] if self.start else None
+        return above is None or len(_trimmed(above)) in (self.width, self.width + 1)
 
 
 def text_layout(file: Iterable[str], *, whitespace: bool) -> TextLayout | None:
     """Return the layout of a text file from its first lines; None for one without rows.
 
-    White space, tabs, semicolons and commas separate columns: the first that splits most lines into
-    the same number of cells, with numbers in most of them. `whitespace`: whether white space is
-    tried first, else last.
+    White space, tabs, semicolons, commas and bars may separate columns: the separator that gives
+    the most numbers is used. `whitespace`: whether white space is preferred to others that give
+    as many.
     """
     lines = list(itertools.islice(file, _SAMPLE_LINES))
-    separators = (None, "\t", ";", ",") if whitespace else (";", "\t", ",", None)
-    default = None if whitespace else ","
-    fitting = [s for s in separators if _fits(list(rows(lines, s, strict=False)))]
-    good = [s for s in fitting if not _lost_header(list(rows(lines, s, strict=False)))]
-    separator = [*good, *fitting, default][0]
-    sample = list(rows(lines, separator, strict=False))
-    if not sample:
+    separators = ("\t", None, ";", ",", "|") if whitespace else (";", "\t", ",", "|", None)
+    tables = [table for s in separators if (table := _table(lines, s)) is not None]
+    if not tables:
         return None
-    start = _first_wide(sample)
-    names, units, first = _header(sample[start:])
-    found = TextLayout(separator, None, len(sample[start][1]), sample[start][0])
-    if not sample[start][1][-1]:
-        found = replace(found, width=found.width - 1)
-    if names is None:
-        comment = _commented_header(lines[: found.first_line - 1], separator)
-        cells = comment if len(comment) == found.width else None
-        return replace(found, cells=cells, skipped=start)
-    first_row = sample[start + first][0] if start + first < len(sample) else len(lines) + 1
-    texts = _of_width(sample[start + names][1], found.width)
-    below = _of_width([] if units is None else sample[start + units][1], found.width)
-    cells = tuple(
-        _with_unit(header_cell(text), unit) for text, unit in zip(texts, below, strict=True)
-    )
-    return replace(found, cells=cells, first_line=first_row, skipped=start + names)
+    most = max(table.values for table in tables)
+    best = [table for table in tables if table.values >= most * (1.0 - 1e-9)]
+    if most == 0.0:
+        best.sort(key=lambda table: -table.width)
+    table = next((table for table in best if table.named), best[0])
+    return _with_header(table, lines)
 
 
 def rows(lines: Iterable[str], separator: str | None, *, strict: bool = True) -> Iterator[Row]:
@@ -92,97 +112,147 @@ def rows(lines: Iterable[str], separator: str | None, *, strict: bool = True) ->
             yield reader.line_num, stripped
 
 
-def number(cell: str) -> float | None:
-    """Return the number in a cell, with a decimal point or comma; None if it is not a number.
-
-    Python takes 1_0 for 10; in a table it is a slip or a name.
-    """
-    if "_" in cell:
-        return None
-    try:
-        return float(cell)
-    except ValueError:
-        return float(cell.replace(",", ".")) if _DECIMAL_COMMA.fullmatch(cell) else None
+def is_value(cell: str) -> bool:
+    """Return whether a cell holds a number, a number with its unit, or a date."""
+    return (
+        ANY_FORMAT.number(cell) is not None
+        or (sign_meaning(cell) or ("", ""))[1] == "thousands"
+        or stamp(cell) is not None
+        or with_unit(cell) is not None
+    )
 
 
-def date(cell: str) -> datetime | None:
-    """Return an ISO date, date with time, or time of day; None for other text."""
-    for text in (cell, f"1970-01-01T{cell}"):
-        try:
-            return datetime.fromisoformat(text).replace(tzinfo=None)
-        except ValueError:
-            continue
-    return None
-
-
-def _fits(sample: Sequence[Row]) -> bool:
-    """Return whether a separator splits most rows into equally many cells, most of them numbers."""
+def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
+    """Return the table that a separator gives; None without rows."""
+    sample = list(rows(lines, separator, strict=False))
     if not sample:
+        return None
+    trimmed = [_trimmed(cells) for _, cells in sample]
+    kinds = [[is_value(cell) for cell in cells] for cells in trimmed]
+    # The rows of the table end the sample: text above it may be long.
+    counts = Counter(len(kind) for kind in kinds[len(kinds) // 2 :] if any(kind))
+    if not counts:
+        return _Table(separator, sample, len(sample), len(trimmed[-1]), (), 0.0)
+    usual = max(counts, key=lambda width: (counts[width], -width))
+    late = [kind for kind in kinds[len(kinds) // 2 :] if len(kind) == usual]
+    numeric = tuple(i for i in range(usual) if 2 * sum(kind[i] for kind in late) > len(late))
+    if not numeric:
+        numeric = tuple(i for i in range(usual) if any(kind[i] for kind in late))
+    fits = [_fits(cells, kind, numeric) for cells, kind in zip(trimmed, kinds, strict=True)]
+    start = _first_row(fits, trimmed)
+    inside = [k for k, fit in zip(kinds[start:], fits[start:], strict=True) if fit]
+    filled = sum(bool(c) for t, fit in zip(trimmed, fits, strict=True) if fit for c in t)
+    values = sum(sum(kind) for kind in inside)
+    return _Table(separator, sample, start, usual, numeric, values * values / max(filled, 1))
+
+
+def _fits(cells: Sequence[str], kind: Sequence[bool], numeric: Sequence[int]) -> bool:
+    """Return whether a row has numbers, or no text, in the columns that hold numbers."""
+    if len(cells) <= numeric[0] or len(numeric) > 2 * len(cells):
         return False
-    (width, count), *_ = Counter(len(cells) for _, cells in sample).most_common(1)
-    last = [cells for _, cells in sample if len(cells) == width][-1]
-    numeric = sum(_is_value(cell) for cell in last)
-    return width >= 2 and 2 * count >= len(sample) and 2 * numeric > width
+    found = [kind[i] for i in numeric if i < len(cells)]
+    text = [i for i in numeric if i < len(cells) and not kind[i] and not is_missing(cells[i])]
+    return any(found) and not text
 
 
-def _lost_header(sample: Sequence[Row]) -> bool:
-    """Return whether the row before the first row of numbers is text with another number of cells.
-
-    White space separates the rows of a file with tabs, too, but splits names with spaces.
-    """
-    start = _first_wide(sample)
-    if start == 0 or not all(map(_is_value, sample[start][1])):
-        return False
-    return not any(map(_is_number, sample[start - 1][1]))
-
-
-def _of_width(cells: Sequence[str], width: int) -> list[str]:
-    """Return cells of a row, with empty ones at the end if there are too few."""
-    return [*cells, *[""] * (width - len(cells))][:width]
+def _first_row(fits: Sequence[bool], trimmed: Sequence[Sequence[str]]) -> int:
+    """Return the first row of the table: most rows after it have numbers, and no units follow."""
+    for start, fit in enumerate(fits):
+        ahead = fits[start : start + _AHEAD]
+        if not fit or 2 * sum(ahead) < len(ahead):
+            continue
+        below = range(start + 1, min(start + 3, len(fits)))
+        # A line with the numbers of the channels may stand above the units.
+        if not any(not fits[i] and _are_units(trimmed[i]) for i in below):
+            return start
+    return next(i for i, fit in enumerate(fits) if fit)
 
 
-def _first_wide(sample: Sequence[Row]) -> int:
-    """Return the index of the first row with as many cells as most rows have.
+def _with_header(table: _Table, lines: Sequence[str]) -> TextLayout:
+    """Return the layout with the names, units and entries above the table."""
+    sample, start, width = table.sample, table.start, table.width
+    first_line = sample[start][0] if start < len(sample) else len(lines) + 1
+    found = TextLayout(table.separator, None, width, table.numeric, first_line)
+    names, units = _header_rows(table)
+    if names is None:
+        comment = _commented_header(lines[: first_line - 1], table.separator)
+        cells = comment if len(comment) == width else None
+        top = start
+        found = replace(found, cells=cells)
+    else:
+        texts, width = sample[names][1], max(width, len(_trimmed(sample[names][1])))
+        below = [] if units is None else sample[units][1]
+        cells = tuple(
+            _with_unit(header_cell(text), unit)
+            for text, unit in zip(_of_width(texts, width), _of_width(below, width), strict=True)
+        )
+        top = names if units is None else min(names, units)
+        held = tuple(tuple(sample[i][1]) for i in (names, units) if i is not None)
+        if not table.numeric:
+            first_line = sample[names][0] + 1
+        found = replace(found, cells=cells, width=width, header_lines=held, first_line=first_line)
+    above = [cells for _, cells in sample[:start]]
+    misfit = None
+    if names is None and above and len(above[-1]) != width and not any(map(is_value, above[-1])):
+        misfit = (sample[start - 1][0], len(above[-1]))
+    return replace(
+        found,
+        entries=_entries(above, lines[: first_line - 1]),
+        skipped=top,
+        signs=_signs(table),
+        misfit=misfit,
+    )
 
-    A separator at the end of the header, or at the end of the other rows, adds no cell.
-    """
-    (width, _), *_ = Counter(len(cells) for _, cells in sample).most_common(1)
-    ends = all(not cells[-1] for _, cells in sample if len(cells) == width)
-    for index, (_, cells) in enumerate(sample):
-        if len(cells) == width or (len(cells) == width + 1 and not cells[-1]):
-            return index
-        if ends and width > 2 and len(cells) == width - 1:
-            return index
-    return 0
+
+def _signs(table: _Table) -> tuple[tuple[str, Proof], ...]:
+    """Return what points and commas in the numbers of the sample must be, each answer once."""
+    cells = (
+        cells[i]
+        for _, cells in table.sample[table.start :]
+        for i in table.numeric
+        if i < len(cells)
+    )
+    return tuple(dict.fromkeys(found for cell in cells if (found := sign_meaning(cell))))
 
 
-def _header(sample: Sequence[Row]) -> tuple[int | None, int | None, int]:
-    """Return the indices of the row of names, of the row of units and of the first data row."""
-    if all(_is_value(cell) for cell in sample[0][1]):
-        return None, None, 0
-    everything = (i for i, (_, cells) in enumerate(sample) if all(map(_is_value, cells)))
-    anything = (i for i, (_, cells) in enumerate(sample) if i and any(map(_is_number, cells)))
-    first = next(everything, next(anything, len(sample)))
-    words = [i for i in range(first) if not any(map(_is_number, sample[i][1]))]
-    if not words:
-        return 0, None, 1
-    last = words[-1]
-    if last and last - 1 in words and _are_units(sample[last][1]):
-        return last - 1, last, last + 1
-    return last, None, last + 1
+def _header_rows(table: _Table) -> tuple[int | None, int | None]:
+    """Return the indices of the rows with the names and the units of the columns."""
+    near = range(table.start - 1, max(table.start - 1 - _HEADER_LINES, -1), -1)
+    columns = table.numeric or range(table.width)
+    lines = {
+        i: [cells[c] for c in columns if c < len(cells)]
+        for i in near
+        if len(cells := table.sample[i][1]) > columns[0]
+        and len(_trimmed(cells)) >= min(table.width, 2)
+    }
+    full = {
+        i: cells for i, cells in lines.items() if sum(map(bool, cells)) >= _FILLED * len(columns)
+    }
+    units = next((i for i, cells in lines.items() if _are_units(cells)), None)
+    texts = [i for i, cells in full.items() if i != units and not all(map(is_value, cells))]
+    distinct = [i for i in texts if len(set(full[i])) == len(full[i])]
+    # Of several lines, the last one whose texts differ: a line of types repeats itself.
+    names = next(iter([*distinct, *texts]), None)
+    if names is None or (units is not None and abs(units - names) > _HEADER_LINES // 2):
+        return (names if names is not None or units not in full else units), None
+    return names, units
 
 
 def _are_units(cells: Sequence[str]) -> bool:
     found = [_bare_unit(cell) for cell in cells if cell]
-    return any(known_unit(unit) for unit in found) and max(map(len, found)) <= _LONGEST_UNIT
+    known = [unit for unit in found if header_unit(unit) is not None]
+    return bool(known) and 3 * len(known) >= len(found) and max(map(len, found)) <= _LONGEST_UNIT
 
 
 def _bare_unit(cell: str) -> str:
-    return cell.strip("[]() ")
+    return cell.strip("[](){}<> ")
 
 
 def _with_unit(cell: HeaderCell, below: str) -> HeaderCell:
-    return replace(cell, unit=_bare_unit(below)) if below else cell
+    unit = _bare_unit(below)
+    if not unit or ANY_FORMAT.number(unit) is not None:
+        return cell
+    return replace(cell, unit=unit) if header_unit(unit) or not cell.unit else cell
 
 
 def _commented_header(lines: Sequence[str], separator: str | None) -> tuple[HeaderCell, ...]:
@@ -190,8 +260,38 @@ def _commented_header(lines: Sequence[str], separator: str | None) -> tuple[Head
     comments = [line.strip() for line in lines if line.lstrip().startswith(_COMMENTS)]
     if not comments:
         return ()
-    found = list(rows([comments[-1].lstrip("#% ")], separator))
-    return tuple(header_cell(cell) for cell in found[0][1]) if found else ()
+    found = list(rows([comments[-1].lstrip("#% ")], separator, strict=False))
+    return tuple(header_cell(cell) for cell in _trimmed(found[0][1])) if found else ()
+
+
+def _entries(above: Sequence[Sequence[str]], lines: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Return names and values above a table: beside each other, or one below the other."""
+    found = []
+    for cells in above:
+        filled = [cell for cell in cells if cell]
+        found += list(itertools.pairwise(filled))
+    for upper, lower in itertools.pairwise(above):
+        found += [(a, b) for a, b in zip(upper, lower, strict=False) if a and b]
+    for line in lines:
+        text = line.strip().lstrip("#%/!* ")
+        for sign in (":", "="):
+            name, _, value = text.partition(sign)
+            if value.strip():
+                found.append((name.strip(), value.strip()))
+    return tuple((name, value) for name, value in found if not is_value(name))
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    """Return the cells without empty ones at the end."""
+    end = len(cells)
+    while end and not cells[end - 1]:
+        end -= 1
+    return cells[:end]
+
+
+def _of_width(cells: Sequence[str], width: int) -> list[str]:
+    """Return cells of a row, with empty ones at the end if there are too few."""
+    return [*cells[:width], *[""] * (width - len(cells))]
 
 
 def _units_joined(cells: list[str]) -> list[str]:
@@ -200,16 +300,8 @@ def _units_joined(cells: list[str]) -> list[str]:
         return cells
     joined: list[str] = []
     for cell in cells:
-        if joined and cell[0] in "[(" and cell[-1] in "])":
+        if joined and cell[0] in "[(" and cell[-1] in "])" and known_unit(cell[1:-1]) is not None:
             joined[-1] += f" {cell}"
         else:
             joined.append(cell)
     return joined
-
-
-def _is_number(cell: str) -> bool:
-    return number(cell) is not None
-
-
-def _is_value(cell: str) -> bool:
-    return cell.lower() in MISSING or _is_number(cell) or (cell[0].isdigit() and bool(date(cell)))

@@ -24,6 +24,8 @@ LATE_SHARE = 0.01
 """
 _MIN_ROWS = 3
 _WINDOW_ROWS = 50
+_COARSE = 0.25
+"""Resolution of stamps, in periods, above which steps between rows do not count periods."""
 _MOST_RESOLUTION = 2.0
 """Coarsest resolution of stamps that is recognised, in periods."""
 _MOST_DRIFT = 0.1
@@ -87,27 +89,44 @@ class TimeGrid:
         return found
 
 
-def fit_grid(where: str, time_s: Array, row: Index) -> TimeGrid:
+def fit_grid(
+    where: str, time_s: Array, row: Index, stated_period_s: float | None = None
+) -> TimeGrid:
     """Fit a uniform grid to time stamps (N,) in s; `row` (N,) are their rows in the file.
 
-    A stamp may be late, which delays only itself and the few rows behind it; a missing row delays
-    all rows after it.
+    The rate follows from the whole record, not from single steps: stamps that are rounded to about
+    a period step by other amounts. Rows are missing only if the stamps do not fit a grid without
+    missing rows. A stamp may be late, which delays only itself and the few rows behind it; a
+    missing row delays all rows after it. stated_period_s: the period that the user states, which
+    decides where the stamps allow it.
 
     Raises:
         LogError: fewer than three stamps, or stamps that do not increase.
     """
     if len(time_s) < _MIN_ROWS:
         raise LogError(f"{where}: expected at least {_MIN_ROWS} times, found {len(time_s)}")
+    resolution_s = _float32_resolution(time_s)
     time_s = time_s - time_s[0]
     steps = np.diff(time_s)
     rough_s = _rough_period(time_s)
-    resolution_s = _resolution(time_s, rough_s) if rough_s > 0.0 else 0.0
-    _check_order(where, time_s, row, equal_allowed=resolution_s > 0.5 * rough_s > 0.0)
+    if stated_period_s is not None and _stated_fits(rough_s, stated_period_s, len(time_s)):
+        rough_s = stated_period_s
+    if rough_s > 0.0:
+        resolution_s = max(resolution_s, _resolution(time_s, rough_s))
+    coarsest_s = _MOST_RESOLUTION * rough_s if stated_period_s is None else np.inf
+    equal_allowed = 0.5 * rough_s < resolution_s <= coarsest_s and rough_s > 0.0
+    _check_order(where, time_s, row, equal_allowed=equal_allowed)
+    whole = _without_missing_rows(time_s, resolution_s, (rough_s, stated_period_s))
+    if whole is not None:
+        return whole
     cuts = np.flatnonzero(steps > (LONGEST_FILLED_ROWS + 1.5) * rough_s) + 1
     edges = [0, *cuts.tolist(), len(time_s)]
     bounds = list(pairwise(edges))
-    # Rounded steps count periods; the sum is right even if a late stamp makes one step too long.
-    place = np.concatenate([[0], np.cumsum(np.rint(steps / rough_s))])
+    if resolution_s > _COARSE * rough_s:
+        place = _places_of_coarse_stamps(time_s, rough_s, resolution_s)
+    else:
+        # Rounded steps count periods; the sum is right even if a late stamp makes one too long.
+        place = np.concatenate([[0], np.cumsum(np.rint(steps / rough_s))])
     period_s = _fit_period(time_s, place, bounds, rough_s)
     for _ in range(2):
         place = _places(time_s, place, period_s, bounds)
@@ -151,16 +170,80 @@ def _rough_period(time_s: Array) -> float:
     return float(np.median(time_s[rows:] - time_s[:-rows])) / rows
 
 
+def _stated_fits(rough_s: float, stated_s: float, rows: int) -> bool:
+    """Return whether the stated period may be that of the stamps; else the import reports it."""
+    return abs(rough_s / stated_s - 1.0) < max(0.05, 2.0 / min(rows, _WINDOW_ROWS))
+
+
 def _resolution(time_s: Array, period_s: float) -> float:
-    """Return the largest power of ten in s of which all stamps are multiples; 0 if negligible."""
-    coarsest = np.floor(np.log10(_MOST_RESOLUTION * period_s))
-    for step_s in 10.0 ** np.arange(coarsest, coarsest - 3.0, -1.0):
-        if step_s < 0.01 * period_s:
-            return 0.0
-        multiples = time_s / step_s
-        if np.abs(multiples - np.rint(multiples)).max() < 1e-3:
-            return float(step_s)
+    """Return the largest step in s of which all stamps are multiples; 0 if it is negligible."""
+    steps = np.diff(time_s)
+    steps = np.unique(steps[steps > 1e-3 * period_s])
+    if not len(steps):
+        return 0.0
+    step_s = float(steps[0])
+    for other_s in steps[:: max(1, len(steps) // 1000)].tolist():
+        rest = abs(other_s - round(other_s / step_s) * step_s)
+        while rest > 1e-3 * step_s:  # Euclid's algorithm
+            step_s, rest = rest, abs(step_s - round(step_s / rest) * rest)
+            if step_s < 0.01 * period_s:
+                return 0.0
+    multiples = time_s / step_s
+    regular = np.abs(multiples - np.rint(multiples)).max() < 0.05
+    return step_s if regular and not _all_equal(steps, step_s) else 0.0
+
+
+def _all_equal(steps: Array, step_s: float) -> bool:
+    """Return whether the only step is the period: then nothing is known of the resolution."""
+    return len(steps) == 1 or bool(np.all(np.abs(steps / step_s - 1.0) < 1e-3))
+
+
+def _float32_resolution(time_s: Array) -> float:
+    """Return the resolution in s of stamps that were stored in 32 bit, at the largest; else 0."""
+    stored = time_s.astype(np.float32)
+    if np.array_equal(stored.astype(np.float64), time_s) and not np.all(time_s == np.rint(time_s)):
+        return float(np.spacing(np.abs(stored).max()))
     return 0.0
+
+
+def _without_missing_rows(
+    time_s: Array, resolution_s: float, periods_s: Sequence[float | None]
+) -> TimeGrid | None:
+    """Return the grid of stamps that fit one without missing rows; None if they do not."""
+    place = np.arange(len(time_s))
+    bounds = [(0, len(time_s))]
+    for period_s in (_fit_period(time_s, place.astype(np.float64), bounds, 0.0), *periods_s):
+        if not period_s:
+            continue
+        jitter = time_s / period_s - place
+        jitter = jitter - 0.5 * (jitter.max() + jitter.min())
+        accepted = ACCEPTED_JITTER + 0.5 * resolution_s / period_s
+        if np.abs(jitter).max() <= accepted:
+            part = GridPart(0, len(time_s), place.astype(np.int64))
+            rounded_s = _rounded(period_s, len(time_s))
+            return TimeGrid(rounded_s, (part,), jitter, resolution_s)
+    return None
+
+
+def _places_of_coarse_stamps(time_s: Array, period_s: float, resolution_s: float) -> Array:
+    """Return the places of stamps that are rounded to about a period, or more.
+
+    A missing row moves the mean of the stamps after it against the mean of those before it.
+    """
+    rows = np.arange(len(time_s))
+    width = int(10 + 20 * (resolution_s / period_s) ** 2)
+    if len(time_s) < 4 * width:
+        return rows.astype(np.float64)
+    offset = time_s / period_s - rows
+    total = np.concatenate([[0.0], np.cumsum(offset)])
+    middle = np.arange(width, len(time_s) - width + 1)
+    moved = (total[middle + width] - 2.0 * total[middle] + total[middle - width]) / width
+    missing = np.zeros(len(time_s))
+    while len(moved) and moved.max() > 0.5:
+        at = int(np.argmax(moved))
+        missing[middle[at]] += round(float(moved[at]))
+        moved[max(0, at - width) : at + width] = 0.0
+    return np.asarray(rows + np.cumsum(missing))
 
 
 def _fit_period(

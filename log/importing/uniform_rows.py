@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from ...config.units import known_unit
 from ..errors import LogError
+from .clock_restarts import continuous_time
 from .gap_filling import FilledPart, GapFiller, runs
 from .irregular_times import irregular_error, resample
-from .signals_yaml import SignalsFile
+from .signals_yaml import Column, SignalsFile
+from .time_columns import combined_time_s
 from .time_grid import LONGEST_FILLED_ROWS, TimeGrid, fit_grid
 
 Array = NDArray[np.float64]
@@ -29,6 +31,8 @@ _LEAST_OF_LONGEST = 0.1
 _RATE_TOLERANCE = 0.01
 """Largest relative difference between rate_hz and the rate of the time stamps."""
 _MOST_LISTED = 3
+_HOUR_S = 3600.0
+_LARGE_STAMP = 1e8
 
 
 @dataclass(frozen=True)
@@ -71,16 +75,25 @@ def uniform_rows(where: str, signals: SignalsFile, columns: Sequence[Array]) -> 
         return _completed(
             where, signals, UniformRows(signals.rate_hz, (UniformPart(0, values, row),))
         )
-    at = signals.columns.index(times[0])
-    unit = known_unit(times[0].unit)
-    assert unit is not None  # checked by the schema
-    stamped = ~np.isnan(values[:, at])
-    values, row = values[stamped], row[stamped]
+    at = [signals.columns.index(column) for column in times]
+    labels = [column.label for column in times]
+    named = f"{where}: {labels[0]}"
+    factors = [_factor_to_s(column) for column in times]
+    parts_s = [factor * _near_zero(values[:, i]) for factor, i in zip(factors, at, strict=True)]
+    time_s = combined_time_s(where, parts_s, labels) if len(at) > 1 else parts_s[0]
+    stamped = ~np.isnan(time_s)
+    time_s, values, row = time_s[stamped], values[stamped], row[stamped]
     remarks = []
     if not stamped.all():
         remarks.append(f"{np.count_nonzero(~stamped)} rows without a time are left out")
-    named, time_s = f"{where}: {times[0].label}", unit.factor * values[:, at]
-    grid = fit_grid(named, time_s, row)
+    time_s, more = continuous_time(named, time_s, row, factors[0] * abs(times[0].scale))
+    remarks += more
+    if len(at) == 1:
+        values = values.copy()
+        first = values[0, at[0]] - time_s[0] / factors[0] if len(values) else 0.0
+        values[:, at[0]] = time_s / factors[0] + first
+    stated_s = None if signals.rate_hz is None else 1.0 / signals.rate_hz
+    grid = fit_grid(named, time_s, row, stated_s)
     if signals.resample:
         new = resample(named, signals, time_s, values, row)
         parts = tuple(UniformPart(*part) for part in new.parts)
@@ -114,7 +127,19 @@ def _rate_hz(where: str, stated_hz: float | None, grid: TimeGrid) -> float:
     return stated_hz
 
 
-def _on_grid(values: Array, row: Index, at: int, grid: TimeGrid) -> list[UniformPart]:
+def _near_zero(stamps: Array) -> Array:
+    """Return stamps since 1970, or as large, from the first row: differences lose no digits."""
+    known = stamps[~np.isnan(stamps)]
+    return stamps - known[0] if len(known) and abs(known[0]) > _LARGE_STAMP else stamps
+
+
+def _factor_to_s(column: Column) -> float:
+    unit = known_unit(column.unit)
+    assert unit is not None  # checked by the schema
+    return unit.factor
+
+
+def _on_grid(values: Array, row: Index, times: Sequence[int], grid: TimeGrid) -> list[UniformPart]:
     """Return the rows of each part of the grid, with NaN in missing rows."""
     found = []
     for part in grid.parts:
@@ -122,7 +147,8 @@ def _on_grid(values: Array, row: Index, at: int, grid: TimeGrid) -> list[Uniform
         every = np.arange(place[-1] + 1)
         table = np.full((len(every), values.shape[1]), np.nan)
         table[place] = values[part.first : part.end]
-        table[:, at] = np.interp(every, place, values[part.first : part.end, at])
+        for at in times:
+            table[:, at] = np.interp(every, place, values[part.first : part.end, at])
         before = np.searchsorted(place, every, side="right") - 1
         rows_here = row[part.first : part.end]
         found.append(UniformPart(int(part.place[0]), table, rows_here[before]))
@@ -130,15 +156,20 @@ def _on_grid(values: Array, row: Index, at: int, grid: TimeGrid) -> list[Uniform
 
 
 def _long_gaps(grid: TimeGrid, row: Index) -> list[str]:
-    texts = []
+    texts, hour = [], ""
     for before, after in pairwise(grid.parts):
         missing = after.place[0] - before.place[-1] - 1
         texts.append(f"{missing} after row {row[before.end - 1]}")
+        if abs(missing * grid.period_s - _HOUR_S) < 1.5 * grid.period_s:
+            hour = (
+                "; one gap lasts 1 h: if the clock was set forward there, as for daylight saving "
+                "time, no row is missing"
+            )
     if not texts:
         return []
     return [
         f"rows are missing in the time column ({_listed(texts)}), more than {LONGEST_FILLED_ROWS} "
-        "in a row: the data are split there"
+        f"in a row: the data are split there{hour}"
     ]
 
 

@@ -1,0 +1,138 @@
+"""Continue clocks that begin again, as at midnight or when a timer overflows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import LogError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_DAYS_S = (43_200.0, 86_400.0)
+_TIMER_BITS = (16, 24, 30, 31, 32, 48, 64)
+_TICKS_S = (1.0, 1e-3, 1e-6, 1e-7, 1e-9)
+_LONGEST_STEP = 6.0
+"""Most periods between the rows before and after a restart."""
+_FAR = 10.0
+"""Least distance of a wrong time stamp from those beside it, in periods."""
+_MOST_WRONG = 0.01
+"""Largest share of wrong time stamps."""
+_MOSTLY = 0.9
+"""Least share of regular steps after sorting: the rows are out of order then."""
+_MOST_BACK = 0.01
+"""Largest share of steps back in a record of a clock that begins again."""
+
+
+def continuous_time(
+    where: str, time_s: Array, row: Index, unit_s: float
+) -> tuple[Array, list[str]]:
+    """Return times (N,) in s that go on where the clock began again, and remarks.
+
+    `row` (N,) are rows in the file, unit_s the unit of the file's stamps in s. A step back by 12 h
+    or 24 h, or by the range of a timer, is an overflow. Single stamps far from their neighbours
+    are replaced.
+
+    Raises:
+        LogError: the time goes back for another reason; names the remedy.
+    """
+    time_s, remarks = _without_wrong_stamps(time_s, row)
+    steps = np.diff(time_s)
+    back = np.flatnonzero(steps < 0.0)
+    forward = steps[steps > 0.0]
+    if not len(back) or not len(forward):
+        return time_s, remarks
+    period_s = float(np.median(forward))
+    if len(back) > len(forward):
+        raise LogError(
+            f"{where}: expected times that increase from row to row, found times that decrease; "
+            "reverse the order of the rows"
+        )
+    range_s = _clock_range(-steps[back], period_s, unit_s)
+    again = np.abs(time_s[back + 1] - time_s[0]) < 0.5 * period_s
+    if range_s is None or len(back) > max(1.0, _MOST_BACK * len(steps)) or again.all():
+        _refuse(where, time_s, row, back, period_s, unit_s, begins_again=bool(again.all()))
+        return time_s, remarks
+    turns = np.zeros(len(time_s))
+    turns[back + 1] = range_s
+    count = "" if len(back) == 1 else f" and {len(back) - 1} more"
+    remarks.append(
+        f"the clock begins again after {_duration(range_s)} (row {row[back[0] + 1]}{count}); the "
+        "time goes on there"
+    )
+    return time_s + np.cumsum(turns), remarks
+
+
+def _clock_range(back_s: Array, period_s: float, unit_s: float) -> float | None:
+    """Return the usual range of a clock that turns all steps back into steps of few periods."""
+    timers = {2.0**bits * tick for bits in _TIMER_BITS for tick in (unit_s, *_TICKS_S)}
+    for range_s in sorted({*_DAYS_S, *timers}):
+        step = range_s - back_s
+        if np.all((step > 0.0) & (step < _LONGEST_STEP * period_s)):
+            return range_s
+    return None
+
+
+def _refuse(
+    where: str,
+    time_s: Array,
+    row: Index,
+    back: Index,
+    period_s: float,
+    unit_s: float,
+    *,
+    begins_again: bool,
+) -> None:
+    """Raise LogError with the remedy for a clock that goes back; return if the rows are unsorted.
+
+    The time grid reports unsorted rows, and stamps that are rounded.
+    """
+    steps_s = np.diff(time_s)[back]
+    ordered = np.diff(np.sort(time_s))
+    shuffled = np.mean(np.abs(ordered - period_s) < 0.2 * period_s) > _MOSTLY
+    if not begins_again and (shuffled or -steps_s.min() < _FAR * period_s):
+        return
+    range_s = -steps_s + period_s
+    same = bool(np.all(np.abs(range_s - np.median(range_s)) < 0.5 * period_s))
+    at = row[back[0] + 1]
+    value = float(np.median(range_s)) / unit_s
+    alone = f"rows: {{first: {row[0]}, last: {row[back[0]]}}} and rows: {{first: {at}}}"
+    if begins_again:
+        found = f"times that begin again at {time_s[0]:.6g} s in row {at}"
+    else:
+        found = f"a step back by {-steps_s[0]:.6g} s in row {at}"
+    more = f" and in {len(back) - 1} more rows" if len(back) > 1 else ""
+    wraps = (
+        f"; if the clock begins again or was set back, set wraps: {value:.10g} for this column"
+        if same
+        else ""
+    )
+    raise LogError(
+        f"{where}: expected times that increase from row to row, found {found}{more}; if records "
+        f"follow each other, import each alone ({alone}{', ...' if more else ''}){wraps}"
+    )
+
+
+def _without_wrong_stamps(time_s: Array, row: Index) -> tuple[Array, list[str]]:
+    """Return times (N,) in which single stamps far outside their neighbours are interpolated."""
+    before, at, after = time_s[:-2], time_s[1:-1], time_s[2:]
+    if len(at) < 3:
+        return time_s, []
+    period_s = float(np.median(np.abs(np.diff(time_s))))
+    wide = after - before
+    outside = np.maximum(before - at, at - after)
+    wrong = 1 + np.flatnonzero(
+        (wide > 0.0) & (wide < _LONGEST_STEP * period_s) & (outside > _FAR * period_s)
+    )
+    if not len(wrong) or len(wrong) > max(1.0, _MOST_WRONG * len(time_s)):
+        return time_s, []
+    found = time_s.copy()
+    found[wrong] = 0.5 * (time_s[wrong - 1] + time_s[wrong + 1])
+    listed = ", ".join(f"{time_s[i]:.6g} s in row {row[i]}" for i in wrong[:3])
+    more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+    return found, [f"wrong time stamps replaced by the mean of their neighbours: {listed}{more}"]
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 3600.0:g} h" if seconds in _DAYS_S else f"{seconds:.10g} s"

@@ -60,6 +60,14 @@ class Identification:
         """Logs left out with the reason, and models that should not be used."""
         return self.results.notes
 
+    @cached_property
+    def answer(self) -> str:
+        """The model to use, or why there is none: the sentences with which the report begins."""
+        from ..report.identification.chapters import identification_answer
+
+        found = self._found
+        return identification_answer(found.points, found.grey, found.multisine)
+
     @property
     def page(self) -> Path | None:
         """Path of the report's page; None before `report` was called."""
@@ -162,6 +170,7 @@ class Identification:
         }
         page = None if self._page is None else str(self._page)
         plain = {**named, **study_summary(self.results), "report": page}
+        plain["answer"] = self.answer
         return with_origin("identify", self._session.logs, plain)
 
     def report(self, folder: str | Path, command: str = "") -> Path:

@@ -54,7 +54,7 @@ def command(out: Path | None) -> int:
         shipped("sims/nominal.yaml"),
         folder / "identification",
     )
-    for line in words(found.results):
+    for line in words(found):
         click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
     click.echo(f"report on the moving beam: {beam_page}")

@@ -100,7 +100,7 @@ def command(
     if as_json:
         click.echo(json.dumps(found.to_json()))
         return 0
-    for line in words(found.results):
+    for line in words(found):
         click.echo(line)
     click.echo(f"report: {found.page}")
     return 0
@@ -148,20 +148,23 @@ def identify_logs(
     return found
 
 
-def words(found: Study) -> list[str]:
-    """Return the results as lines of text; +- is a 95 % interval."""
+def words(identified: Identification) -> list[str]:
+    """Return the results as lines of text, the answer first; +- is a 95 % interval."""
     from ..identification.records.record import OTHER_STEP
     from ..identification.results_to_json import study_summary
     from ..identification.subspace.response_uncertainty import SURE_95
 
+    found, answer = identified.results, identified.answer
     plain = study_summary(found)
     names = [output["name"] for output in plain.get("outputs", [])]
-    lines = [line for point in plain.get("points", []) for line in _point(point, names)]
+    lines = [answer]
+    lines += [line for point in plain.get("points", []) for line in _point(point, names, answer)]
     lines += _multisine(plain.get("multisine", []))
     grey = plain.get("grey_box")
     if grey:
         lines += [
             f"{name:>12} = {p['value']:.7g} +- {SURE_95 * p['se']:.2g} {p['unit']}"
+            + (" (at its bound)" if name in grey["at_bound"] else "")
             for name, p in grey["parameters"].items()
             if p["se"] is not None
         ]
@@ -169,9 +172,12 @@ def words(found: Study) -> list[str]:
         if any(point["kind"] == "open loop" for point in plain.get("points", [])):
             lines += _errors(grey["validation"], names)
     # Omit notes on skipped steps (harmless) and notes already printed as warnings.
+    # Omit what the answer says, too.
     warned = _contradictions(found)
     lines += [
-        f"note: {note}" for note in plain["notes"] if OTHER_STEP not in note and note not in warned
+        f"note: {note}"
+        for note in plain["notes"]
+        if OTHER_STEP not in note and note not in warned and note.split(": ", 1)[-1] not in answer
     ]
     return lines
 
@@ -203,7 +209,7 @@ def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
     return texts
 
 
-def _point(point: dict[str, Any], names: list[str]) -> list[str]:
+def _point(point: dict[str, Any], names: list[str], answer: str) -> list[str]:
     ratio = ""
     if "order_gap" in point:
         ratio = f", the next singular value is {point['order_gap']:.0f} times smaller"
@@ -212,7 +218,7 @@ def _point(point: dict[str, Any], names: list[str]) -> list[str]:
     count = len(point["records"])
     line = f"{_where(point['beam_m'])}: {count} record{'s' * (count != 1)}, order {point['order']}"
     lines = [f"{line}{ratio}"]
-    lines += [f"  unreliable: {doubt}" for doubt in point.get("doubts", [])]
+    lines += [f"  unreliable: {doubt}" for doubt in point["doubts"] if doubt not in answer]
     of_records = tuple(f"{record}: " for record in point["records"])
     lines += [f"  note: {text}" for text in point["remarks"] if not text.startswith(of_records)]
     if "order_gap" in point:

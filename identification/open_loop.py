@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
+from .nonparametric.feedback_test import feedback_findings, input_origins
 from .nonparametric.frequency_response import ResponseEstimate, frequency_response
 from .nonparametric.markov_parameters import convolve, most_taps, nested_estimates
 from .options import Options
@@ -73,7 +74,8 @@ def identify_open_loop(
 
     Records of a loop with an unknown controller have the predictor only, which is consistent there:
     `model` is the predictor's. So it is if no stable model simulates the records. An unstable model
-    has no simulated outputs.
+    has no simulated outputs. Whether outputs drive the inputs, and whether anything else does, is
+    tested for all records: `doubts` has the consequences.
 
     Raises IdentificationError for records that are too short or constant outputs.
     """
@@ -85,6 +87,8 @@ def identify_open_loop(
     part_stops = [stop - round(VALIDATION_SHARE * stop) for stop in stops]
 
     _check_outputs([r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)])
+    origins = input_origins(records)
+    feedback = feedback_findings(origins, records[0].feedback)
     spectra = _spectra(training, options)
     impulse = _impulse_length(training, part_stops, options)
     trial, simulated, predicted = _by_order(training, part_stops, impulse.taps, options, progress)
@@ -138,10 +142,13 @@ def identify_open_loop(
         remarks=(
             *(f"{r.name}: {text}" for r in records for text in r.remarks),
             *left_out_remarks(too_short),
+            *feedback.remarks,
             *([f"no Markov parameters: {starts.no_markov}"] if starts.no_markov else []),
             *([] if stable else [_UNSTABLE]),
             *(disagreements(*mode_lists, ("simulation", "prediction")) if simulator else ()),
         ),
+        doubts=feedback.doubts,
+        origins=origins,
     )
 
 

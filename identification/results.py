@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
+from .nonparametric.feedback_test import InputOrigin
 from .nonparametric.frequency_response import ResponseEstimate
 from .nonparametric.markov_parameters import MarkovEstimate
 from .records.record import PiController
@@ -152,6 +153,13 @@ class OpenLoopPoint:
     from_spectra: ResponseEstimate
     holdout: tuple[HoldOut, ...]
     remarks: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    origins: tuple[InputOrigin, ...] = ()
+
+    @property
+    def trusted(self) -> bool:
+        """Whether there is no reason not to use the model."""
+        return not self.doubts
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -135,6 +136,9 @@ def _open(point: OpenLoopPoint) -> dict[str, Any]:
         },
         "holdout": [_holdout(h) for h in point.holdout],
         "remarks": point.remarks,
+        "trusted": point.trusted,
+        "doubts": point.doubts,
+        "origins": [{**asdict(o), "unexcited": o.unexcited} for o in point.origins],
     }
 
 

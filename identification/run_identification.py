@@ -190,6 +190,7 @@ def _doubt_notes(result: IdentificationResult) -> list[str]:
     found = []
     for point in result.points:
         if not isinstance(point, ClosedLoopPoint):
+            found += [f"do not use the black-box model: {doubt}" for doubt in point.doubts]
             continue
         by_method = {"Ho-Kalman": point.doubts}
         if point.subspace is not None:

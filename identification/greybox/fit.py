@@ -159,15 +159,13 @@ class _Search:
         self.noise = self.refined_noise(predictions)
         predictions = self.fit_parameters(tolerance=_CONVERGED)
         inverse = np.linalg.inv(self.last[:-1, :-1])
-        scale, values = self.parameters.scale, self.values()
-        edge = 1e-9 * scale
-        bound = (values <= self.parameters.low + edge) | (values >= self.parameters.high - edge)
+        scale = self.parameters.scale
         return Fit(
             self.model,
             self.parameters.names,
             scale[:, None] * (inverse @ inverse.T) * scale,
             tuple(self.held),
-            tuple(np.array(self.parameters.names)[bound].tolist()),
+            self.parameters.at_bound(self.values()),
             self.noise,
             tuple(predictions),
             self.steps,

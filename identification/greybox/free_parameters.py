@@ -43,6 +43,12 @@ class FreeParameters:
             ),
         )
 
+    def at_bound(self, values: Array) -> tuple[str, ...]:
+        """Return the names of the parameters whose values (F,) are at a bound."""
+        edge = 1e-9 * self.scale
+        bound = (values <= self.low + edge) | (values >= self.high - edge)
+        return tuple(np.array(self.names)[bound].tolist())
+
     def prior_rows(self, values: Array) -> Array:
         """Return the rows (., F + 1) of the priors for [scaled Jacobian, errors]."""
         rows = []

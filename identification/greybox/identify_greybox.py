@@ -185,6 +185,7 @@ def _with_force_balance(
         fit,
         model=fit.model.with_values(found.as_values()),
         covariance=np.diag((half_width / SURE_95) ** 2),
+        at_bound=free.at_bound(found.values),
     )
     return moved, found, (note,)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...identification.greybox.compare_with_black_box import BesideBlackBox
 from ...identification.greybox.fitted_modes import fitted_modes
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.greybox.validation import Validation
@@ -181,11 +182,7 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
         fitted += f"; {fixed} more {_were(fixed)} fixed by the model file"
     texts = [f"{fitted}. {_identifiability_words(report)}"]
     texts += [f"Remark: {r}." for r in report.grey.remarks]
-    if fit.at_bound:
-        texts.append(
-            f"{', '.join(fit.at_bound)} ended at a bound of the model file. Its standard error is "
-            "not reliable; check the bound."
-        )
+    texts += at_bound_sentences(report.grey)
     if report.grey.validations:
         texts.append(f"{_explained(report)} {_whiteness(report)}".strip())
     for name in report.ratios:
@@ -198,8 +195,11 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     return tuple(Text(text) for text in texts)
 
 
-def grey_box_answer(report: GreyBoxReport) -> str:
-    """Return the answer: whether the fitted model explains the records, and its modes."""
+def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None) -> str:
+    """Return the answer: whether to use the fitted model, parameters at a bound, and its modes.
+
+    beside: the comparison with the black-box model of the same records; None without one.
+    """
     name = report.grey.declared.name
     middle = len(report.modes) // 2
     modes = report.modes[middle]
@@ -210,15 +210,43 @@ def grey_box_answer(report: GreyBoxReport) -> str:
     )
     worst = report.worst
     error = "" if worst is None else f" ({worst.over_noise:.2f} times the noise)"
+    bounds = "".join(f" {text}" for text in at_bound_sentences(report.grey))
     if report.explains:
-        return (
+        found = (
             f"Use the fitted model '{name}': it explains these records down to the noise{error}."
-            f"{natural}"
         )
-    return (
-        f"The fitted model '{name}' does not explain these records{error}: the plant has an effect "
-        f"that the model lacks.{natural}"
+    elif beside is not None and beside.as_good:
+        found = (
+            f"Use the fitted model '{name}': on held-out rows it explains as much as the black-box "
+            f"model{_errors_beside(report, beside)}. It does not explain them down to the "
+            f"noise{error}, so the plant has an effect that both models lack."
+        )
+    else:
+        found = (
+            f"The fitted model '{name}' does not explain these records{error}: the plant has an "
+            "effect that the model lacks."
+        )
+    return f"{found}{bounds}{natural}"
+
+
+def at_bound_sentences(grey: GreyBox) -> tuple[str, ...]:
+    """Return a sentence for each parameter that ended at a bound of the model file."""
+    return tuple(
+        f"{name} ended at its bound of {grey.fit.values[name]:.4g} "
+        f"{grey.declared.parameters[name].unit}: the data do not determine it, or the model is "
+        "wrong; its value and interval are not reliable."
+        for name in grey.fit.at_bound
     )
+
+
+def _errors_beside(report: GreyBoxReport, beside: BesideBlackBox) -> str:
+    output = report.signals.output_symbols[beside.output]
+    kind = "simulation" if beside.simulated else "prediction one step ahead"
+    text = (
+        f" (error of the {kind}, over {output}: {beside.fitted_percent:.3g} %, and "
+        f"{beside.black_box_percent:.3g} %)"
+    )
+    return text if beside.stable else f", which is unstable and cannot simulate{text}"
 
 
 def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:

@@ -36,7 +36,8 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
                 else f"The model has {point.order} states and is unstable: it can predict one step "
                 "ahead, but not simulate."
             ),
-        )
+        ),
+        *(Text(f"Do not use the model: {doubt}.") for doubt in point.doubts),
     ]
     for held in _worst_first(point.holdout)[:_MOST_SHOWN]:
         texts.append(
@@ -49,6 +50,13 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
         left = len(point.holdout) - _MOST_SHOWN
         texts.append(Text(f"The other {left} records fit better; the table below lists all."))
     return tuple(texts)
+
+
+def open_loop_answer(point: OpenLoopPoint, signals: SignalLabels) -> str:
+    """Return the answer: what the model explains, or why to use no model of these records."""
+    if not point.trusted:
+        return f"Do not use a black-box model of these records: {'; '.join(point.doubts)}."
+    return " ".join(text.text for text in open_loop_words(point, signals)[:2])
 
 
 def open_loop_numbers(point: OpenLoopPoint) -> tuple[Number, ...]:

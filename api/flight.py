@@ -12,7 +12,7 @@ import yaml
 from ..config.base import parse_text
 from ..config.rig import load_rig
 from ..config.session import SessionConfig, load_session
-from ..config.shipped import shipped
+from ..config.shipped import find_file
 from ..daemon.control.faults import FlightFault
 from ..daemon.loop.virtual_session import fly_virtually
 from .output_folder import folder_without_logs
@@ -34,9 +34,10 @@ def fly(
     """Fly a session on the simulated rig, as fast as the code runs, and load its logs.
 
     Args:
-        session: SESSION.yaml, or its contents as a dict.
-        rig: RIG.yaml; default: the shipped loopback rig.
-        sim: SIM.yaml, the simulated plant; default: the one that the rig names.
+        session: SESSION.yaml, the name of a shipped session, or its contents as a dict.
+        rig: RIG.yaml, or the name of a shipped rig; default: the shipped loopback rig.
+        sim: SIM.yaml, or the name of a shipped one, the simulated plant; default: the one that the
+            rig names.
         out: folder for the logs, without logs in it; default: a temporary folder, which is deleted
             when the returned session and its records are no longer used.
         note: a line on this flight, for its logs and `levid list`.
@@ -82,10 +83,10 @@ def fly_session(
         ConfigError: a file is wrong, or the rig cannot fly the session.
         FlightFault: the flight ended in a fault; its logs are in `out`.
     """
-    rig_file = shipped("rigs/loopback.yaml") if rig is None else Path(rig)
+    rig_file = find_file("loopback" if rig is None else rig, "rig")
     flown = load_rig(rig_file)
     if sim is not None:
-        flown = flown.model_copy(update={"sim": str(Path(sim).resolve())})
+        flown = flown.model_copy(update={"sim": str(find_file(sim, "sim").resolve())})
     report = progress or (lambda _step, _share: None)
     return fly_virtually(
         flown,
@@ -104,5 +105,5 @@ def _session(session: str | Path | Mapping[str, Any]) -> tuple[SessionConfig, by
     if isinstance(session, Mapping):
         text = yaml.safe_dump(dict(session), sort_keys=False).encode()
         return parse_text(text, SessionConfig, "session"), text, "session"
-    path = Path(session)
+    path = find_file(session, "session")
     return load_session(path), path.read_bytes(), str(path)

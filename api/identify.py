@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..config.base import load_yaml
+from ..config.shipped import find_file
 from ..config.sim import SimConfig
-from ..identification.records.from_log import rig_model
+from ..identification.records.rig_model import rig_model
 from ..identification.run_identification import study
 from .identification import Identification
 from .model import ArgumentError, ModelSource, model_config
@@ -35,11 +36,13 @@ def identify(
     Raises:
         ConfigError: a model or simulator file is wrong.
         IdentificationError: the logs cannot be identified.
+        LogError: a file is not a log, or the logs are of two rigs.
     """
     say = warn or partial(warnings.warn, stacklevel=4)
     # Check everything that needs no log before the long work.
     declared, file = model_config(session.model if model is None else model)
-    simulator = None if truth is None else load_yaml(Path(truth), SimConfig)
+    session.require_one_plant()
+    simulator = None if truth is None else load_yaml(find_file(truth, "sim"), SimConfig)
     flown = False
 
     def model_of(log: Log) -> ModelConfig | None:

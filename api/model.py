@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from .trace import Trace
 
 ModelSource: TypeAlias = "str | Path | Model | Identification | Trace"
-"""What names a model: the path of a MODEL.yaml, a model, or a result that has one."""
+"""What names a model: the path of a MODEL.yaml or the name of a shipped one, a model, or a result
+that has one."""
 
 
 class ArgumentError(IdentificationError):
@@ -181,7 +182,9 @@ def model_config(source: ModelSource | None) -> tuple[ModelConfig | None, Path |
         return None, None
     if isinstance(source, str | Path):
         from ..config.model import load_model
+        from ..config.shipped import find_file
 
-        return load_model(Path(source)), Path(source)
+        path = find_file(source, "model")
+        return load_model(path), path
     model = source if isinstance(source, Model) else source.model
     return model.config, None

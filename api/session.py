@@ -57,11 +57,11 @@ def load(
         path_or_paths: logs (.mcap), or folders of logs; with `signals` files of measured data (CSV,
             text, NPZ, MAT), which are imported into a temporary folder.
         model: default of `Session.identify` and `Session.trace`: a MODEL.yaml, or a result.
-        signals: SIGNALS.yaml that describes the columns of data files.
+        signals: SIGNALS.yaml that describes the columns of data files, or a shipped one's name.
 
     Raises:
-        LogError: no such file, no logs in a folder, a file that is not a log, or data that do not
-            fit `signals`.
+        LogError: no such file, no logs in a folder, a file that is not a log, data that do not fit
+            `signals`, or logs of two rigs.
         ConfigError: `signals` is not valid.
     """
     if isinstance(path_or_paths, str | Path):
@@ -70,13 +70,14 @@ def load(
     if not given:
         raise LogError("expected at least one log, found an empty list")
     if signals is not None:
+        from ..config.shipped import find_file
         from .data_import import imported_logs
 
-        logs, keep = imported_logs(given, Path(signals))
+        logs, keep = imported_logs(given, find_file(signals, "signals"))
         session = Session(logs, model, keep)
     else:
         session = Session([log for path in given for log in _logs_of(path)], model)
-    _ = session.steps  # reports a bad file here
+    session.require_one_plant()  # reports a bad file here
     return session
 
 
@@ -107,6 +108,16 @@ class Session:
                 if record.name in often:
                     record.name = longer(record)
         return tuple(records)
+
+    def require_one_plant(self) -> None:
+        """Check that the logs are of one rig, or all of imported data.
+
+        Raises:
+            LogError: they are of two rigs, or of a rig and of imported data.
+        """
+        from ..identification.records.one_plant import require_one_plant
+
+        require_one_plant(self.steps)
 
     @cached_property
     def records(self) -> tuple[Record, ...]:

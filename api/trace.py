@@ -53,7 +53,9 @@ def trace(
         ConfigError: the model file is wrong.
         IdentificationError: the logs cannot be traced.
         ImportError: `dask` is given, and the package distributed is not installed.
+        LogError: a file is not a log, or the logs are of two rigs.
     """
+    session.require_one_plant()
     imported = "signals.yaml" in session.steps[0].attachments
     if not (imported or dask) and worker_count(workers) > 1:
         begin_imports()  # while this process does the same
@@ -361,17 +363,20 @@ def _alternative(plain: Mapping[str, Any]) -> Alternative:
 
 def _declared(session: Session, model: ModelSource | None) -> tuple[ModelConfig, Path | None]:
     """Return the model to start from; default: the model of the rig that flew the first log."""
-    from ..identification.records.from_log import rig_model
+    from ..identification.records.rig_model import no_model, rig_model
     from ..log.reader import read_log
 
     config, file = model_config(session.model if model is None else model)
-    if config is None:
-        config = rig_model(read_log(session.logs[0]))
-    if config is None:
-        log = session.logs[0]
-        raise ArgumentError(
-            f"expected {{}} for {log}, which is not a log of the rig; found none",
-            "model",
-            "MODEL.yaml",
-        )
-    return config, file
+    if config is not None:
+        return config, file
+    log = read_log(session.logs[0])
+    config = rig_model(log)
+    if config is not None:
+        return config, file
+    if "rig.yaml" in log.attachments:
+        raise ArgumentError(f"expected {{}}: {no_model(log)}", "model", "MODEL.yaml")
+    raise ArgumentError(
+        f"expected {{}} for {log.path}, which is not a log of the rig; found none",
+        "model",
+        "MODEL.yaml",
+    )

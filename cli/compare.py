@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .output_folder_check import claimed_folder
-from .path_types import FOLDER, MODEL
+from .path_types import FOLDER, RESULT
 from .text_table import text_table
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 @click.command("compare")
-@click.argument("a", type=MODEL)
-@click.argument("b", type=MODEL)
+@click.argument("a", type=RESULT)
+@click.argument("b", type=RESULT)
 @click.option(
     "--at",
     multiple=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..config.escaping import one_line
+from ..config.shipped import KINDS, TEMPLATE, find_file, shipped_file, shipped_names
 from ..log.importing.data_suffixes import FORMAT_OF_SUFFIX
 
 if TYPE_CHECKING:
@@ -27,21 +29,41 @@ _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 
 
 class FilePath(click.Path):
-    """A path whose completion offers folders and the files of one kind.
+    """A path whose completion offers folders, the files of one kind and the shipped names.
+
+    A shipped name such as loopback becomes the path of that file; a file that exists wins.
 
     Args:
         suffixes: endings of the files; empty for all files.
         kind: value of the key `levid` in a YAML file, such as rig; empty for all kinds.
         files: whether files are offered at all, not folders only.
+        named: kinds of shipped files that a name may mean; default: `kind`.
+        folders: whether a folder is a value too, and wins over a name.
     """
 
-    def __init__(self, *suffixes: str, kind: str = "", files: bool = True) -> None:
+    def __init__(
+        self,
+        *suffixes: str,
+        kind: str = "",
+        files: bool = True,
+        named: tuple[str, ...] = (),
+        folders: bool = False,
+    ) -> None:
         super().__init__(path_type=Path)
         self.suffixes, self.kind, self.files = suffixes, kind, files
+        self.named, self.folders = (kind,) if kind else named, folders
         self.name = "file" if files else "folder"  # as the help shows it
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path; reject one whose messages a terminal would show as something else."""
+    def convert(
+        self,
+        value: str | os.PathLike[str],
+        param: click.Parameter | None,
+        ctx: click.Context | None,
+    ) -> Any:
+        """Return the path, or that of the shipped file with this name.
+
+        A path whose messages a terminal would show as something else is rejected.
+        """
         if _UNPRINTABLE.search(str(value)):
             self.fail(
                 "expected a file name without line breaks and control characters, found "
@@ -49,7 +71,8 @@ class FilePath(click.Path):
                 param,
                 ctx,
             )
-        return super().convert(value, param, ctx)
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        return find_file(path, *self.named, folders=self.folders) if self.named else path
 
     def shell_complete(
         self,
@@ -57,10 +80,16 @@ class FilePath(click.Path):
         param: click.Parameter,  # noqa: ARG002
         incomplete: str,
     ) -> list[CompletionItem[Any]]:
-        """Return the matching files, and the folders with a final slash."""
+        """Return the matching files, the folders with a final slash, and the shipped names."""
         from click.shell_completion import CompletionItem
 
-        return [CompletionItem(text, type="path") for text in sorted(self._matches(incomplete))]
+        files = sorted(self._matches(incomplete))
+        names = {name: None for kind in self.named for name in shipped_names(kind)}
+        return [CompletionItem(text, type="path") for text in files] + [
+            CompletionItem(name)
+            for name in names
+            if name.startswith(incomplete) and name not in files
+        ]
 
     def _matches(self, incomplete: str) -> Iterator[str]:
         folder, start = os.path.split(incomplete)
@@ -94,14 +123,52 @@ class FilePath(click.Path):
         return not words or words[0][1:2] == [self.kind.encode()]
 
 
+class ShippedName(click.ParamType):  # type: ignore[type-arg]
+    """The name of a shipped file of one kind; completes to these names."""
+
+    name = "name"
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the name; fails for another one and lists similar and known names."""
+        if shipped_file(str(value), self.kind) is None:
+            known = shipped_names(self.kind)
+            near = difflib.get_close_matches(str(value), known)
+            meant = f" Did you mean {' or '.join(near)}?" if near else ""
+            start = near[0] if near else TEMPLATE[self.kind]
+            self.fail(
+                f"levid ships the {self.kind}s {', '.join(known)}, found '{value}'.{meant} The new "
+                f"file's name follows -o: levid new {self.kind} {start} -o FILE.yaml",
+                param,
+                ctx,
+            )
+        return str(value)
+
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002
+        param: click.Parameter,  # noqa: ARG002
+        incomplete: str,
+    ) -> list[CompletionItem[Any]]:
+        """Return the matching names."""
+        from click.shell_completion import CompletionItem
+
+        names = shipped_names(self.kind)
+        return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
 RIG = FilePath(*_YAML, kind="rig")
 SESSION = FilePath(*_YAML, kind="session")
 SIM = FilePath(*_YAML, kind="sim")
 MODEL = FilePath(*_YAML, kind="model")
+RESULT = FilePath(*_YAML, kind="model", folders=True)
+"""A result of identify or trace: its folder, or its MODEL.yaml."""
 SIGNALS = FilePath(*_YAML, kind="signals")
 YAML = FilePath(*_YAML)
 LOG = FilePath(".mcap")
-YAML_OR_LOG = FilePath(*_YAML, ".mcap")
+YAML_OR_LOG = FilePath(*_YAML, ".mcap", named=KINDS)
 DATA = FilePath(*FORMAT_OF_SUFFIX)
 ANY = FilePath()
 FOLDER = FilePath(files=False)

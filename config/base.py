@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 
 from .error_messages import dotted, mistakes, quoted, shortened
 from .escaping import steering_character
+from .shipped import KINDS, not_found
 
 M = TypeVar("M", bound="Strict")
 _Path: TypeAlias = "tuple[_Path, Any] | None"
@@ -98,7 +99,14 @@ def load_yaml(path: Path | str, model: type[M]) -> M:
         ConfigError: the file is missing, is not YAML, or does not fit the schema; each line names
             the file, the key, what is expected and what is found.
     """
-    return parse(read_mapping(path), model, str(path))
+    return parse(read_mapping(path, *_kinds(model)), model, str(path))
+
+
+def _kinds(model: type[Strict]) -> tuple[str, ...]:
+    """Return the kind of shipped files that a schema reads; empty for a schema of another file."""
+    field = model.model_fields.get("levid")
+    named = () if field is None else _types(field.annotation)
+    return tuple(kind for kind in KINDS if kind in named)
 
 
 def parse(data: object, model: type[M], where: str) -> M:
@@ -183,8 +191,10 @@ def parse_text(text: str | bytes, model: type[M], where: str) -> M:
     return parse(_mapping(text, where), model, where)
 
 
-def read_mapping(path: Path | str) -> dict[str, Any]:
+def read_mapping(path: Path | str, *kinds: str) -> dict[str, Any]:
     """Return the top-level mapping of a YAML file; raises ConfigError.
+
+    The error of a missing file suggests shipped files of `kinds`; default: of every kind.
 
     A pipe such as /dev/stdin is read to its end, if that comes within PIPE_WAIT_S.
     """
@@ -195,6 +205,9 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
             f"{path}: expected a file, or a pipe that ends within {PIPE_WAIT_S:g} s, found one "
             "without an end"
         ) from None
+    except FileNotFoundError as error:
+        hint = not_found(path, *kinds)
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}{hint}") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:  # an invalid file name

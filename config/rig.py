@@ -24,6 +24,7 @@ from .buses import Bus, CanBus, RoleOptions, SerialBus
 from .daemon_settings import Live, Realtime, Recording, SelfTest, Service
 from .escaping import MOST_NAME
 from .model import ModelConfig, load_model
+from .shipped import find_file
 
 
 def _not_near_zero(value: float) -> float:
@@ -211,7 +212,8 @@ class RigConfig(Strict):
         # docs/configuration.md describes the model's keys in their own section.
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "null"}]}),
     ] = None
-    """MODEL.yaml, relative to this file, or the model itself, as `load_rig` returns it."""
+    """MODEL.yaml, relative to this file or by its shipped name, or the model itself, as `load_rig`
+    returns it."""
     feedforward: FeedForward | None = None
     """Feed-forward of a rig without `model`."""
     limits: Limits
@@ -224,7 +226,8 @@ class RigConfig(Strict):
     serial: dict[Name, SerialBus] = Field(default_factory=dict)
     """Serial ports by the names that roles use."""
     sim: str | None = None
-    """SIM.yaml of the loopback backend and of emulated electronics, relative to this file."""
+    """SIM.yaml of the loopback backend and of emulated electronics, relative to this file or by its
+    shipped name."""
     socket: str | None = None
     """Path of the daemon's control socket; default: in a runtime directory of the user."""
     realtime: Realtime = Realtime()
@@ -368,7 +371,7 @@ def with_model(rig: RigConfig, rig_file: Path) -> RigConfig:
     if not isinstance(rig.model, str):
         return rig
     try:
-        model = load_model(rig_file.parent / rig.model)
+        model = load_model(find_file(rig.model, "model", folder=rig_file.parent))
     except ConfigError as error:
         lines = str(error).splitlines()
         raise ConfigError("\n".join(f"{rig_file}: model: {line}" for line in lines)) from None
@@ -378,4 +381,6 @@ def with_model(rig: RigConfig, rig_file: Path) -> RigConfig:
 def model_path(rig_file: Path) -> Path | None:
     """Return the path of the MODEL.yaml that a rig file names, None if it names none."""
     model = load_yaml(rig_file, RigConfig).model
-    return (rig_file.parent / model).resolve() if isinstance(model, str) else None
+    if not isinstance(model, str):
+        return None
+    return find_file(model, "model", folder=rig_file.parent).resolve()

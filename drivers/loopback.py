@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..config.base import ConfigError, load_yaml
+from ..config.shipped import find_file
 from ..config.sim import SimConfig
 from .base import Array, Backend, CoilAmplifiers, Context, ManipulatorDrives, PositionSensors
 
@@ -126,7 +127,7 @@ class _Drives(ManipulatorDrives):
 def _sim_config(context: Context) -> tuple[Path, SimConfig]:
     if context.rig.sim is None:
         raise ConfigError("sim: backend loopback needs the path of a SIM.yaml; add `sim: PATH`")
-    path = context.folder / context.rig.sim
+    path = find_file(context.rig.sim, "sim", folder=context.folder)
     config = load_yaml(path, SimConfig)
     simulated = config.geometry
     coils, sensors = len(context.rig.geometry.coil_x_m), len(context.rig.geometry.sensors_x_m)

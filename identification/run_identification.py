@@ -31,6 +31,7 @@ from .records.periodic_records import (
     periodic_record,
 )
 from .records.record import IdentificationError, NotARecordError, Record, describe_position
+from .records.rig_model import no_model
 from .results import ClosedLoopPoint, IdentificationResult
 from .trace.subtract_declared_effects import experiment_of
 
@@ -63,6 +64,8 @@ class _LogContents:
     errors: list[IdentificationError]
     unfitted: list[str]
     """Logs that the fit of the declared model cannot use, with the reason."""
+    undeclared: list[str]
+    """Why logs of a rig have no declared model."""
 
 
 def study(
@@ -87,9 +90,10 @@ def study(
         if found.errors:
             raise found.errors[0]
         raise IdentificationError(
-            f"expected at least one record to identify, found none: {'; '.join(found.reasons)}"
+            "expected at least one record to identify, found none: "
+            + "; ".join((*found.reasons, *found.undeclared))
         )
-    before = _checks(found, model, options)
+    before = (*found.undeclared, *_checks(found, model, options))
     if say is not None:
         for remark in before:
             say(remark)
@@ -142,7 +146,7 @@ def _read(
     logs: Sequence[Path], model_of: Callable[[Log], ModelConfig | None], report: Progress
 ) -> tuple[_LogContents, ModelConfig | None]:
     """Read every log once, and return the contents and the declared model."""
-    found, model = _LogContents([], [], [], [], [], []), None
+    found, model = _LogContents([], [], [], [], [], [], []), None
     duplicates = DuplicateCheck()
     for number, path in enumerate(logs):
         report(path.name, number / len(logs))
@@ -150,6 +154,8 @@ def _read(
         if duplicate is None:
             log = read_log(path)
             model = model_of(log) if number == 0 else model
+            if number == 0 and model is None and "rig.yaml" in log.attachments:
+                found.undeclared.append(no_model(log))
             duplicate = duplicates.copy_of(path, log)
         if duplicate is not None:
             found.reasons.append(duplicate)

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from ...config.base import ConfigError, Strict, parse_text
-from ...config.model import ModelConfig, load_model
 from ...config.rig import RigConfig
-from ...config.shipped import shipped
 from ...log.importing.clipping import clipping_remarks
 from ...log.importing.importer import REMARKS
 from ...log.importing.signals_yaml import Column, SignalsFile
@@ -132,20 +130,7 @@ def controller_of(log: Log) -> PiController:
 
 def rig_of(log: Log) -> RigConfig:
     """Return the log's rig.yaml, parsed; raises IdentificationError if missing or invalid."""
-    return _attached(log, "rig.yaml", RigConfig)
-
-
-def rig_model(log: Log) -> ModelConfig | None:
-    """Return the declared model of the rig that flew the log; None for a log without a rig.
-
-    It is the attachment model.yaml; the shipped models/rig.yaml for a rig that names no model.
-    Raises IdentificationError for an attachment that is not a model.
-    """
-    if "rig.yaml" not in log.attachments:
-        return None
-    if "model.yaml" not in log.attachments:
-        return load_model(shipped("models/rig.yaml"))
-    return _attached(log, "model.yaml", ModelConfig)
+    return attached(log, "rig.yaml", RigConfig)
 
 
 def log_remarks(log: Log) -> list[str]:
@@ -184,7 +169,7 @@ def imported_record(log: Log) -> Record:
 
     Raises IdentificationError for an invalid signals.yaml or missing columns.
     """
-    signals = _attached(log, "signals.yaml", SignalsFile)
+    signals = attached(log, "signals.yaml", SignalsFile)
     inputs, outputs = signals.with_role("input"), signals.with_role("output")
     for role, found in (("input", inputs), ("output", outputs)):
         if not found:
@@ -217,7 +202,7 @@ def _import_remarks(log: Log, columns: Sequence[Column]) -> list[str]:
     return found
 
 
-def _attached(log: Log, name: str, schema: type[S]) -> S:
+def attached(log: Log, name: str, schema: type[S]) -> S:
     """Return an attached YAML file, parsed; raises IdentificationError if missing or invalid."""
     text = log.attachments.get(name)
     if text is None:
@@ -234,7 +219,7 @@ def _position(log: Log) -> float | None:
     Raises NotARecordError if the column is not a position in m (records are grouped within 1 mm),
     or if the position moves.
     """
-    scheduling = _attached(log, "signals.yaml", SignalsFile).with_role("scheduling")
+    scheduling = attached(log, "signals.yaml", SignalsFile).with_role("scheduling")
     if not scheduling:
         return None
     if len(scheduling) > 1 or scheduling[0].unit != "m":

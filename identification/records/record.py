@@ -182,20 +182,26 @@ COMPARED_FIELDS = {
 """Fields that must agree in all records, with their names in messages."""
 
 
+def _written(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
 def _check_consistent(point: OperatingPoint) -> None:
     first = point.records[0]
+    where = "" if point.beam_m is None else f"{describe_position(point.beam_m)}: "
     for record in point.records[1:]:
         for field, name in (*COMPARED_FIELDS.items(), ("delay_cycles", "delay in cycles")):
             ours, theirs = getattr(first, field), getattr(record, field)
             if ours != theirs:
                 raise IdentificationError(
-                    f"{describe_position(point.beam_m)}: expected one {name} in all records, "
-                    f"found {ours} in '{first.name}' and {theirs} in '{record.name}'"
+                    f"{where}expected one {name} in all records, found {_written(ours)} in "
+                    f"'{first.name}' and {_written(theirs)} in '{record.name}'; identify them "
+                    "separately"
                 )
         if not _same_controller(first.controller, record.controller):
             raise IdentificationError(
-                f"{describe_position(point.beam_m)}: expected one controller in all records, "
-                f"found different gains in '{first.name}' and '{record.name}'"
+                f"{where}expected one controller in all records, found different gains in "
+                f"'{first.name}' and '{record.name}'; identify them separately"
             )
 
 

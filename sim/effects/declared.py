@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...config.model import ModelConfig, load_model
+from ...config.shipped import find_file
 from ...model.effects.base import Placed, Places, Signals, Term, total
 from ...model.effects.combined_effects import together
 from ...model.effects.effect_serialization import placed_effects
@@ -42,7 +43,7 @@ class FromModel:
     """
 
     def __init__(self, model: str) -> None:
-        self._config = load_model(model)
+        self._config = load_model(find_file(model, "model"))
 
     def reset(self, plant: EffectPlant) -> None:
         """Build the effects for the plant's coils and sensors."""

@@ -9,6 +9,7 @@ from ...config.backends import ROLES, find_backend, load_part
 from ...config.base import ConfigError, load_yaml
 from ...config.buses import AmplifierOptions, RoleOptions
 from ...config.rig import RigConfig
+from ...config.shipped import find_file
 from ...config.sim import SimConfig
 from .emulated_devices import Core
 from .faults import Injector
@@ -38,7 +39,7 @@ class Electronics:
             raise ConfigError(
                 "sim: expected the path of the SIM.yaml that `levid electronics` simulates"
             )
-        source = folder / rig.sim
+        source = find_file(rig.sim, "sim", folder=folder)
         on: dict[tuple[str, str], dict[str, RoleOptions]] = {}
         expire_cycles = 1
         for role in ROLES:

@@ -166,8 +166,9 @@ def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
     from ..config.rig import with_model
     from ..daemon.control.watchdog_times import expiry_warning
+    from ..daemon.control.zero_force import NOT_READ_BACK
     from ..drivers.base import Context
-    from ..drivers.open_backends import check_backends
+    from ..drivers.open_backends import check_backends, reads_back
     from ..model.geometry import GeometryError, decoupling_matrix
 
     try:
@@ -180,6 +181,9 @@ def _rig(rig: RigConfig, path: Path) -> str:
     except ConfigError as error:
         names_file = str(error).startswith(f"{path}: ")
         raise ConfigError(f"{'' if names_file else f'{path}: '}{error}") from None
+    if not reads_back(Context(rig, 1 / rig.rate_hz, path.parent)):
+        warning = f"{NOT_READ_BACK}: a coil that keeps a force or gives none is not detected"
+        click.echo(f"{path}: warning: amplifiers: {warning}", err=True)
     if warning := expiry_warning(rig):
         click.echo(f"{path}: warning: {warning}", err=True)
     bus_rate = f"; bus rate limit {1 / budget.cycle_s:.0f} Hz" if budget.buses else ""

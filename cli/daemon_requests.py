@@ -62,7 +62,7 @@ def status(rig_path: Path | None, as_json: bool) -> int:
     multiple=True,
     metavar="CHECK",
     help="Fly although this check before lift-off failed (`levid status` lists them): devices, "
-    "recorder, disk, real_time, cpu, loop or motion. May be repeated; the log says so.",
+    "amplifiers, recorder, disk, real_time, cpu, loop or motion. May be repeated; the log says so.",
 )
 def levitate(
     rig_path: Path | None,

@@ -40,7 +40,7 @@ def stop_at_once() -> int:
     return 0
 
 
-STOPPED = "zero force; run 'levid clear' to fly again"
+STOPPED = "zero force commanded; run 'levid clear' to fly again"
 """What is printed after `levid stop`."""
 
 if __name__ == "__main__":

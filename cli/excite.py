@@ -59,7 +59,7 @@ _REPORT_FOLDERS = {"identify": "identification", "trace": "trace"}
     multiple=True,
     metavar="CHECK",
     help="Fly although this check before lift-off failed (`levid status` lists them): devices, "
-    "recorder, disk, real_time, cpu, loop or motion. May be repeated; the log says so.",
+    "amplifiers, recorder, disk, real_time, cpu, loop or motion. May be repeated; the log says so.",
 )
 @click.option(
     "--note",

@@ -50,9 +50,10 @@ def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
     from ..daemon.client import Client
     from ..daemon.control.loop_stability import loop_finding
     from ..daemon.control.preflight_findings import Check, Finding, Outcome
+    from ..daemon.control.zero_force import NOT_READ_BACK
     from ..daemon.host.real_time_rights import real_time_rights
     from ..drivers.base import Context
-    from ..drivers.open_backends import missing
+    from ..drivers.open_backends import missing, reads_back
 
     socket = socket_path(rig)
     if listens(socket):
@@ -64,7 +65,8 @@ def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
                 for f in answer["preflight"]
             ]
         say(f"the running daemon flies another rig or version of {path}; its checks are left out")
-    lacking = missing(Context(rig, 1 / rig.rate_hz, path.parent))
+    context = Context(rig, 1 / rig.rate_hz, path.parent)
+    lacking = missing(context)
     devices = Finding(
         Check.DEVICES, Outcome.UNKNOWN, "not tested: only the daemon (levid run) opens the devices"
     )
@@ -73,6 +75,11 @@ def rig_findings(rig: RigConfig, path: Path) -> list[Finding]:
     refused = real_time_rights(rig.realtime)
     return [
         devices,
+        Finding(
+            Check.AMPLIFIERS,
+            Outcome.UNKNOWN,
+            "no daemon runs" if reads_back(context) else NOT_READ_BACK,
+        ),
         Finding(Check.RECORDER, Outcome.UNKNOWN, "no daemon runs"),
         Finding.of(
             Check.REAL_TIME,

@@ -63,7 +63,7 @@ def command(rig: Path) -> int:
         supervisor.run(
             lambda: log(f"{config.name} at {config.rate_hz:g} Hz, socket {path}; Ctrl-C lands")
         )
-        log("stopped, coils at zero force")
+        log("stopped, zero force commanded")
     finally:
         journal.close()
     return 0

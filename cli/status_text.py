@@ -69,9 +69,17 @@ def activity(status: Status) -> str:
     if status["session"]:
         left = f", {duration(status['left_s'])} left" if status.get("left_s") else ""
         return f"session {status['session']}, {status['step']}, {100 * status['share']:.0f} %{left}"
-    return {"IDLE": "idle, zero force", "LEVITATING": "levitating"}.get(
-        status["state"], str(status["state"]).lower().replace("_", "-")
-    )
+    if status["state"] == "IDLE":
+        return f"idle, {force_at_rest(status)}"
+    return str(status["state"]).lower().replace("_", "-")
+
+
+def force_at_rest(status: Status) -> str:
+    """Return in words whether the coils are at zero force, or only commanded to be."""
+    zero = status.get("zero_force")  # not from a daemon of an older version
+    if zero is None:
+        return "zero force commanded"
+    return "zero force" if zero["confirmed"] else f"zero force commanded; {zero['found']}"
 
 
 def fault_lines(status: Status) -> Iterator[str]:
@@ -85,6 +93,7 @@ def fault_lines(status: Status) -> Iterator[str]:
     yield f"  cause: {text.cause}"
     yield f"  check: {text.check}"
     yield f"  then:  {text.cleared}"
+    yield f"  coils: {force_at_rest(status)}"
 
 
 def late_causes(status: Status) -> str:
@@ -123,6 +132,7 @@ def _channels(status: Status) -> Iterator[str]:
         "coil",
         [
             (f"force {force.unit}", coils["value"], force, coils["limit"]),
+            (f"read {force.unit}", coils["readback"], force, None),
             (f"rms {rms.unit}", coils["rms"], rms, coils["rms_limit"]),
         ],
     )

@@ -145,6 +145,15 @@ class Limits(Strict):
     gap_m_s: Positive | None = None
     coil_rms_n: Positive | None = None
     coil_time_constant_s: Positive = 60.0
+    coil_follow_n: Positive | None = None
+    """Largest deviation of a coil's readback from its command; default: 2.5 % of `coil_n`."""
+    coil_lag_s: Annotated[float, Field(gt=0, le=1.0)] | None = None
+    """Longest time constant of the amplifiers; default: twice the model's lag, at least 1 ms."""
+    beam_follow_m: Positive | None = None
+    """Largest deviation of the beam from its setpoint; default: from its weight, kp and `gap_m`."""
+    rotor_follow_rad: Positive = 0.05
+    drive_lag_s: Annotated[float, Field(gt=0, le=10.0)] = 0.02
+    """Longest time constant of the drives' position loops."""
 
 
 class Channels(Strict):

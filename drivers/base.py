@@ -136,6 +136,15 @@ class Backend(ABC):
         """
         return ""
 
+    @classmethod
+    def reads_back(cls, context: Context, options: dict[str, Any]) -> bool:  # noqa: ARG003
+        """Return whether its amplifiers measure the force that `CoilAmplifiers.read` returns.
+
+        With False, levid does not compare it with the commands: a coil that keeps a force, or
+        gives none, stays unknown. No device is opened.
+        """
+        return True
+
     @abstractmethod
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the devices of `roles` (options by name); raises DriverError."""
@@ -218,6 +227,8 @@ class Devices:
     sensors: PositionSensors
     drives: ManipulatorDrives
     backends: tuple[Backend, ...]
+    reads_back: bool = True
+    """Whether the amplifiers measure the force: see Backend.reads_back."""
 
     @property
     def syncs(self) -> tuple[Sync, ...]:

@@ -18,6 +18,7 @@ __all__ = [
     "missing",
     "names",
     "open_devices",
+    "reads_back",
 ]
 
 
@@ -37,6 +38,12 @@ def emulated(context: Context) -> bool:
         _backend_class(name, role).emulated(context, role, options)
         for role, (name, options) in _roles(context).items()
     )
+
+
+def reads_back(context: Context) -> bool:
+    """Return whether the rig's amplifiers measure the coil forces; no device is opened."""
+    name, options = _roles(context)["amplifiers"]
+    return _backend_class(name, "amplifiers").reads_back(context, options)
 
 
 def missing(context: Context) -> list[str]:
@@ -64,6 +71,7 @@ def open_devices(context: Context) -> Devices:
             scaled_sensors(opened[rig.sensors.backend].sensors(), rig.channels),
             opened[rig.drives.backend].drives(),
             tuple(opened.values()),
+            reads_back(context),
         )
     except BaseException:
         for backend in opened.values():

@@ -25,13 +25,13 @@ class State(IntEnum):
 
 _MEANING = {
     State.OFF: "not running",
-    State.IDLE: "zero force; readings are logged",
+    State.IDLE: "zero force commanded; readings are logged",
     State.LEVITATING: "rising to the working point, or holding it",
     State.EXCITING: "holding the working point during excitation",
     State.MOVING: "holding the working point while the manipulator moves",
     State.LANDING: "descending onto the stops",
-    State.FAULT: "zero force until the fault is cleared",
-    State.SELF_TEST: "zero force; the readings of all channels are checked",
+    State.FAULT: "zero force commanded until the fault is cleared",
+    State.SELF_TEST: "zero force commanded; the readings of all channels are checked",
 }
 
 

@@ -59,8 +59,9 @@ EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
 """Error of the host, and words in it, for each line that injects a fault."""
 UNHEARD = ("drop-setpoints", "bus-off", "disconnect")
 """Faults that stop everything that the host sends: only the device's own expiry ends the force."""
-NO_FAULT_OF_A_DEVICE = {"push", "lift"}
-"""A force on the platform, which control has to hold, and a hand that lifts it."""
+NOT_REPORTED = {"push", "lift", "coil-force", "coil-gain", "coil-offset", "jam", "slow"}
+"""A force on the platform, which control has to hold, a hand that lifts it, and faults that neither
+device nor driver detects: the control cycle compares command and reading."""
 
 RATE_HZ = 50.0
 MOST_CYCLES = 60

@@ -30,6 +30,9 @@ def state_panel(status: Status, width: int, most: int) -> list[Line]:
     if state in IN_FLIGHT:
         meaning = f"in flight: {meaning}"
     lines: list[Line] = [[(f" {name} ", style), (f" {meaning}", "")]]
+    zero = status.get("zero_force")  # not from a daemon of an older version
+    if zero is not None and state not in IN_FLIGHT:
+        lines[0].append((f"; {zero['found']}", "" if zero["confirmed"] else "warning"))
     if status["fault"] != "NONE":
         return (lines + _fault(status, width))[:most]
     lines.append(_session(status, width))

@@ -15,6 +15,8 @@ from .controller_memory import ROWS, memory_shape
 from .faults import Fault
 from .feed_forward import feed_forward
 from .flight_segment import Segment
+from .following_check import check_following, size
+from .following_limits import following_check
 from .states import State
 
 Array = NDArray[np.float64]
@@ -22,6 +24,7 @@ Array = NDArray[np.float64]
 _READING, _GAP = int(Fault.READING), int(Fault.GAP)
 _COMPUTATION, _BEAM = int(Fault.COMPUTATION), int(Fault.BEAM)
 _POSE_FAULT, _VELOCITY, _HEAT = int(Fault.POSE), int(Fault.VELOCITY), int(Fault.HEAT)
+_AMPLIFIER, _DRIVE = int(Fault.AMPLIFIER), int(Fault.DRIVE)
 _FAULT_STATE = int(State.FAULT)
 BEAM_MARGIN_M = 0.002
 """Overshoot of the beam beyond its setpoint range that is not yet a fault."""
@@ -59,13 +62,14 @@ class Controller:
         )
         self._outputs = np.zeros(coils + 6)
         self.coil_n, self.beam_ref, self.rotor_ref = np.split(self._outputs, np.cumsum([coils, 3]))
+        by_model = feed_forward(rig, period_s)
         law = (
             decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m).ravel(),
             decoupling_matrix(geometry.coil_x_m, geometry.coil_y_m).ravel(),
             shape_matrix(geometry.coil_x_m, geometry.coil_y_m).ravel(),
             rig.control.kp,
             [ki * period_s for ki in rig.control.ki],
-            feed_forward(rig, period_s).numbers,
+            by_model.numbers,
             [limits.coil_n, limits.coil_rate_n_s * period_s],
             [limits.gap_m, limits.beam_m + BEAM_MARGIN_M],
             # Limits that the rig does not set are infinite.
@@ -77,8 +81,12 @@ class Controller:
         self._law = np.concatenate([np.asarray(part, float) for part in law])
         self._memory = np.zeros(memory_shape(coils, sensors)) if memory is None else memory
         self._memory[:ROWS] = 0.0
-        self.heat, _, self._before = np.split(self._memory[ROWS:].ravel(), [coils, coils + 1])
+        self.heat, _, self._before, follow, _ = np.split(
+            self._memory[ROWS:].ravel(),
+            np.cumsum([coils, 1, sensors + 1, size(coils)]),
+        )
         """Mean square force (C,) in N^2 over limits.coil_time_constant_s."""
+        self._following = following_check(rig, by_model, period_s, follow)
         self._coil_time_constant_s = limits.coil_time_constant_s
         self._before[:] = np.nan
         self._engaged = False
@@ -114,6 +122,13 @@ class Controller:
             segment.v, segment.coil_excitation, segment.blend, segment.beam, segment.rotor,
         )  # fmt: skip
 
+    def follow(self, reads_back: bool) -> None:
+        """Begin to check that coils and drives follow: their devices are open or recovered.
+
+        reads_back: whether the amplifiers measure the force; see following_check.
+        """
+        self._following.begin(reads_back)
+
     def latch(self, fault: Fault) -> None:
         """Log `fault` in every row until Fault.NONE is latched."""
         self._memory[_MODE, 3] = fault
@@ -129,6 +144,10 @@ class Controller:
             return f"beam velocity {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
         if fault is Fault.HEAT:
             return f"{heat.max() ** 0.5:.1f} N RMS in coil {heat.argmax()}"
+        if fault is Fault.AMPLIFIER:
+            return self._following.coil_text()
+        if fault is Fault.DRIVE:
+            return self._following.drive_text()
         return ""
 
     def halt(self) -> None:
@@ -156,20 +175,22 @@ class Controller:
         time_s: float,
         k: int,
         read_s: float = 0.0,
+        stale: int = 0,
     ) -> int:
         """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none.
 
-        `read_s` is the delay from the cycle's nominal time to the last reading, in s.
+        `read_s` is the delay from the cycle's nominal time to the last reading, in s. `stale` are
+        the bits of the log field: which readings are of an earlier cycle.
         """
         return control_cycle(  # type: ignore[no-any-return]
-            rows, slot, cycle, time_s, k, read_s,
+            rows, slot, cycle, time_s, k, read_s, stale,
             self._inputs, self._outputs, self._law, self._memory, *self._arrays,
         )  # fmt: skip
 
 
 @njit(cache=True)
 def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - the cycle, in its order
-    rows, slot, cycle, time_s, k, read_s, inputs, outputs, law, memory,
+    rows, slot, cycle, time_s, k, read_s, stale, inputs, outputs, law, memory,
     v_all, coil_excitation_all, blend_all, beam_all, rotor_all,
 ):  # fmt: skip
     """Compute one cycle; see Controller.step, and Controller for the packed arrays.
@@ -198,6 +219,10 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     memory[_REF:ROWS] = 0.0
     more = memory[ROWS:].reshape(-1)
     heat, before = more[:n_coils], more[n_coils + 1 : n_coils + n_sensors + 2]
+    deviates = check_following(
+        coil, readback, beam[0], beam_ref[0], rotor[0], rotor_ref[0], stale,
+        memory[_MODE, 3] == 0.0, more[n_coils + n_sensors + 2 :][: 8 * (n_coils + 3)],
+    )  # fmt: skip
     state, in_control, airborne = memory[_MODE, 0], memory[_MODE, 1] > 0, memory[_MODE, 2] > 0
 
     v = v_all[min(k, len(v_all) - 1)]
@@ -252,6 +277,12 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         and airborne and in_control and fault == 0
     ):  # fmt: skip
         fault = _POSE_FAULT
+    # A coil that deviates explains why the platform leaves its range: even in its first reading.
+    moved_off = fault in (_GAP, _VELOCITY, _POSE_FAULT)
+    if 0 < abs(deviates) <= n_coils and (moved_off or (deviates > 0 and fault == 0)):
+        fault = _AMPLIFIER
+    elif deviates > n_coils and fault == 0:
+        fault = _DRIVE
     active = in_control and fault == 0
     if active:
         for i in range(3):
@@ -337,5 +368,5 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     row.fault = fault if fault != 0 else memory[_MODE, 3]
     row.saturated = min(saturated, 255)
     row.skipped = 0
-    row.stale = 0
+    row.stale = stale
     return fault

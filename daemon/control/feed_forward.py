@@ -43,7 +43,8 @@ class FeedForwardLaw:
         [0, beam_weight x, weight + rods z_ref] + by_model [1, psi_ref, theta_ref, z_ref, x, v, a]
 
     For a rig with a model the first part is zero, otherwise by_model (3, 7) is zero. left_over (3,)
-    is the largest nonlinear part of the model's wrench within the rig's limits.
+    is the largest nonlinear part of the model's wrench within the rig's limits. lag_s: the model's
+    lag of the coil forces.
     """
 
     weight_n: float = 0.0
@@ -51,6 +52,12 @@ class FeedForwardLaw:
     rods_n_m: float = 0.0
     by_model: Array = field(default_factory=lambda: np.zeros((3, 7)))
     left_over: Array = field(default_factory=lambda: np.zeros(3))
+    lag_s: float = 0.0
+
+    @property
+    def per_beam_m(self) -> Array:
+        """Wrench (3,) per metre of beam position, in N, N, N/m."""
+        return self.by_model[:, 4] + np.array([0.0, self.beam_weight_n, 0.0])
 
     def wrench(self, beam: Array) -> Array:
         """Return the wrench (n, 3) at the working point for setpoints (n, 3) of the beam."""
@@ -131,7 +138,9 @@ def _of_model(rig: RigConfig, config: ModelConfig, period_s: float) -> FeedForwa
     ahead_s = _ACTS_AFTER * period_s + late_s
     slopes[:, 1] += ahead_s * slopes[:, 0]
     by_model = np.hstack([wrench[:1].T, stiffness, slopes])
-    return FeedForwardLaw(by_model=by_model, left_over=np.abs(curved).max(axis=0))
+    return FeedForwardLaw(
+        by_model=by_model, left_over=np.abs(curved).max(axis=0), lag_s=model.lag(values)
+    )
 
 
 def _check_coil_limit(rig: RigConfig, at_rest_n: float) -> None:

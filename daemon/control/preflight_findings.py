@@ -12,6 +12,7 @@ class Check(StrEnum):
     """The checks before lift-off, by the name with which a request overrides one."""
 
     DEVICES = "devices"
+    AMPLIFIERS = "amplifiers"
     RECORDER = "recorder"
     DISK = "disk"
     REAL_TIME = "real_time"

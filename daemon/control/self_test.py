@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ...config.rig import RigConfig
 from ...model.geometry import decoupling_matrix, shape_matrix
 from .control_cycle import BEAM_MARGIN_M
+from .following_limits import NOISE_SHARE, coil_follow_n
 
 
 def self_test(rows: NDArray[np.void], rig: RigConfig) -> str:
@@ -36,6 +37,11 @@ def self_test(rows: NDArray[np.void], rig: RigConfig) -> str:
             np.abs(rows["coil_readback_n"].astype(float).mean(axis=0)),
             bounds.coil_n,
             "coil {} reads back {:.3e} N at zero commanded force",
+        ),
+        (
+            rows["coil_readback_n"].astype(float).std(axis=0),
+            NOISE_SHARE * coil_follow_n(rig),
+            "coil {} reads back noise of {:.3e} N rms (limits.coil_follow_n allows a fifth of it)",
         ),
         (
             np.abs(rows["beam_m"][-1:]),

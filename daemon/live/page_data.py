@@ -118,6 +118,7 @@ def status_data(status: Mapping[str, Any]) -> dict[str, Any]:
     timing = status["timing"]
     return {
         **{key: status[key] for key in _STATUS},
+        "zero_force": status["zero_force"],
         "cause": fault.cause,
         "check": fault.check,
         "cleared": fault.cleared,

@@ -40,7 +40,7 @@ def locate(
 ) -> None:
     """Read the manipulator position in this cycle and set it as setpoint, to hold it there.
 
-    A lost or late answer is requested again. Raises DriveError if no position comes within
+    From then on the controller checks that coils and drives follow their commands. A lost or late answer is requested again. Raises DriveError if no position comes within
     `timeout_s` or the beam is out of range; then the setpoints stay unchanged.
     """
     beam, rotor = controller.beam, controller.rotor
@@ -61,6 +61,7 @@ def locate(
         )
     controller.beam_ref[:] = beam[0], 0.0, 0.0
     controller.rotor_ref[:] = rotor[0], 0.0, 0.0
+    controller.follow(devices.reads_back)
 
 
 def resting_segment(controller: Controller, cycles: int) -> Segment:

@@ -28,6 +28,7 @@ from .state_machine import AROUND_CLEAR, StateMachine
 _COUNT_EVERY = 63
 """Rows between updates of the stale and late counters, minus one; a mask."""
 # Indexing by an IntEnum costs a call; by a plain integer it does not.
+_DRIVE = int(Fault.DRIVE)
 _CYCLE, _STALE, _LATE = int(Word.CYCLE), int(Word.STALE), int(Word.LATE)
 
 
@@ -86,9 +87,7 @@ class TimedLoop:
         beam, rotor, beam_ref, rotor_ref = (
             control.beam, control.rotor, control.beam_ref, control.rotor_ref,
         )  # fmt: skip
-        lateness, execution, skips, stales = (
-            rows["lateness_s"], rows["execution_s"], rows["skipped"], rows["stale"],
-        )  # fmt: skip
+        lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
         tags, words, clock, period_s = ring.tags, self._words, self._clock, self._period_s
         wait, now, late, state_machine = (
             clock.wait,
@@ -126,6 +125,7 @@ class TimedLoop:
             fault = step(
                 rows, slot, cycle, cycle * period_s, k,
                 late_s - skipped * period_s + (read - begin) * 1e-9,
+                sensors.stale | drives.stale | amplifiers.stale,
             )  # fmt: skip
             computed = now()
             if computed - begin > longest_ns and control.engaged:
@@ -136,8 +136,6 @@ class TimedLoop:
             written = now()
             tags[slot], lateness[slot] = state_machine.tag, late_s
             skips[slot] = min(skipped, 255)
-            if sensors.stale or drives.stale or amplifiers.stale:
-                stales[slot] = devices.stale_roles
             ended = now()
             execution[slot] = (ended - begin) * 1e-9
             head += 1
@@ -151,6 +149,9 @@ class TimedLoop:
                 count_wake_up(wake_ups, clock.overslept_ns)
             if fault:
                 state_machine.fail(Fault(fault), control.detail(Fault(fault)))
+                if fault == _DRIVE:  # it must not jump to its setpoint once it is free again
+                    with contextlib.suppress(Exception):
+                        drives.release()
 
     def _fail_slow_cycle(self, slot: int, seconds: float) -> None:
         """End control in the current cycle: its readings are too old."""
@@ -177,10 +178,12 @@ class TimedLoop:
             state_machine.fail(fault, detail)
             ring, slot = self._ring, self._ring.head % self._ring.capacity
             k = state_machine.advance()  # the first cycle of braking
-            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, k)
+            control.step(
+                ring.rows, slot, self.cycle, self.cycle * self._period_s, k, 0.0,
+                self._devices.stale_roles,
+            )  # fmt: skip
             ring.rows["fault"][slot] = fault
             ring.rows["state"][slot] = State.FAULT
-            ring.rows["stale"][slot] = self._devices.stale_roles
             ring.tags[slot] = state_machine.tag
             ring.head += 1
         # Another device may have failed: without setpoints, drives would stop abruptly or go on.

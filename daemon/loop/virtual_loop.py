@@ -80,10 +80,10 @@ class VirtualLoop:
         ring, control = self._ring, self._controller
         if ring.room:
             slot = ring.head % ring.capacity
-            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
+            stale = self._devices.stale_roles
+            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0, 0.0, stale)
             ring.rows["fault"][slot] = fault
             ring.rows["state"][slot] = State.FAULT
-            ring.rows["stale"][slot] = self._devices.stale_roles
             ring.tags[slot] = self.tag
             ring.head += 1
         return fault
@@ -103,7 +103,7 @@ class VirtualLoop:
         beam, rotor, beam_ref, rotor_ref = (
             control.beam, control.rotor, control.beam_ref, control.rotor_ref,
         )  # fmt: skip
-        cycle, head, period_s, stales = self.cycle, ring.head, self._period_s, rows["stale"]
+        cycle, head, period_s = self.cycle, ring.head, self._period_s
         fault = 0
         try:
             for k in range(begin, end):
@@ -113,9 +113,8 @@ class VirtualLoop:
                 sensors.read(gap)
                 drives.read(beam, rotor)
                 amplifiers.read(readback)
-                fault = step(rows, head % capacity, cycle, cycle * period_s, k)
-                if sensors.stale or drives.stale or amplifiers.stale:
-                    stales[head % capacity] = devices.stale_roles
+                stale = sensors.stale | drives.stale | amplifiers.stale
+                fault = step(rows, head % capacity, cycle, cycle * period_s, k, 0.0, stale)
                 amplifiers.write(coil)
                 drives.write(beam_ref, rotor_ref)
                 head += 1

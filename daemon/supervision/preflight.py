@@ -16,7 +16,8 @@ from ...drivers.base import Context
 from ...drivers.open_backends import emulated
 from ..control.faults import Fault
 from ..control.preflight_findings import Check, Finding, Outcome, refusing
-from ..control.states import State
+from ..control.states import IN_FLIGHT, State
+from ..control.zero_force import ZeroForce
 from ..ipc.shared_status_words import Word
 from ..planning.refused_request import RefusedError, override_hint
 
@@ -50,6 +51,7 @@ class Preflight:
         words = supervisor.control_words
         return [
             devices_finding(words.state, words.fault, words.detail),
+            amplifiers_finding(words.state, supervisor.zero_force),
             recorder_finding(supervisor.recorder.gone, supervisor.recorder.problem),
             real_time_finding(
                 rig.realtime, supervisor.loop_pid if words.state is not State.OFF else None
@@ -90,6 +92,20 @@ def devices_finding(state: State, fault: Fault, detail: str) -> Finding:
         found = f"fault {fault.name}{f' ({detail})' if detail else ''}"
     return Finding.of(
         Check.DEVICES, fault is Fault.NONE, found, "see the table of faults; then `levid clear`"
+    )
+
+
+def amplifiers_finding(state: State, zero: ZeroForce) -> Finding:
+    """Return whether all coils read back zero force at rest."""
+    if state in IN_FLIGHT:
+        return Finding(Check.AMPLIFIERS, Outcome.UNKNOWN, "in flight")
+    if zero.confirmed is None:
+        return Finding(Check.AMPLIFIERS, Outcome.UNKNOWN, zero.found)
+    return Finding.of(
+        Check.AMPLIFIERS,
+        zero.confirmed,
+        zero.found if zero.confirmed else f"{zero.found}, expected zero",
+        "switch off the supply of the coil's amplifier; repair it or its wiring",
     )
 
 

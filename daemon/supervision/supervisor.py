@@ -12,13 +12,14 @@ from typing import Any
 
 from ...config.rig import RigConfig
 from ...drivers.base import Context
-from ...drivers.open_backends import check_backends
+from ...drivers.open_backends import check_backends, reads_back
 from ..api.control_server import Reply, Server, ServerError
 from ..api.prometheus_metrics import serve_metrics
 from ..control.faults import Fault
 from ..control.feed_forward import feed_forward
 from ..control.states import IN_FLIGHT, State
 from ..control.watchdog_times import expiry_warning
+from ..control.zero_force import ZeroForce, zero_force
 from ..host.child_process import Child, module_of
 from ..host.peer_credentials import Access
 from ..host.rate_limited_log import RateLimitedLog
@@ -73,6 +74,7 @@ class Supervisor:
         folder = rig_file.parent.resolve()
         check_backends(Context(rig, 1.0 / rig.rate_hz, folder))
         feed_forward(rig, 1.0 / rig.rate_hz)
+        self._reads_back = reads_back(Context(rig, 1.0 / rig.rate_hz, folder))
         self.preflight = Preflight(self, rig, folder)
         self._log = log = RecentEvents(log)
         self._rarely = RateLimitedLog(log)
@@ -122,6 +124,12 @@ class Supervisor:
     def stopping(self) -> bool:
         """Whether the daemon is about to end."""
         return self._stopping
+
+    @property
+    def zero_force(self) -> ZeroForce:
+        """Whether the amplifiers confirm zero force."""
+        rows = self._shared.ring.last(recent_rows(self.rig)).rows
+        return zero_force(rows, self.control_words[Word.CYCLE], self.rig, self._reads_back)
 
     @property
     def manipulator(self) -> tuple[float, float]:
@@ -292,6 +300,7 @@ class Supervisor:
                 for quantity in (*readings["pose"], *readings["manipulator"])
             },
             **readings,
+            "zero_force": self.zero_force.as_json(),
             "events": list(self._log.latest),
             "preflight": [finding.as_json() for finding in self.preflight.findings(timing)],
             "timing": {

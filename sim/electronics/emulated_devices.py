@@ -33,6 +33,7 @@ from ...wire.device_protocol import (
 )
 from ..plant import Plant
 from ..simulated_hand import hand
+from .faulty_actuators import FaultyActuators
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,7 @@ class Injected:
     push_n: float = 0.0
     hold: str = "rest"
     tripping: set[int] = field(default_factory=set)
+    actuators: FaultyActuators = field(default_factory=FaultyActuators)
 
 
 class Core:
@@ -105,6 +107,7 @@ class Core:
         # Beam and rotor: position, velocity, acceleration of this period; _plan has the next ones.
         self._motion = np.zeros((2, 3))
         self._motion[:, 0] = self._plant.beam[0], self._plant.rotor[0]
+        self.injected.actuators.motion(self._motion, self.period_s)  # they begin there
         self._plan: list[Array] = []
         self._drives_missed = 0
         self._drives_had_setpoints = False  # a setpoint arrived since they were enabled
@@ -141,6 +144,11 @@ class Core:
     def acting_n(self) -> Array:
         """Forces (C,) in N of the amplifiers in this period."""
         return self._acting_n
+
+    @property
+    def driven_n(self) -> Array:
+        """Forces (C,) in N that the amplifiers drive, with injected faults."""
+        return self.injected.actuators.forces(self._acting_n)
 
     @property
     def pending_n(self) -> Array:
@@ -226,8 +234,10 @@ class Core:
             pushed = hand(self._sim, self.injected.hold)
             pushed[2] += self.injected.push_n
             plant.push(pushed)
-            plant.advance(acting, self._motion[0], self._motion[1])
-            self.forced_periods += bool(acting.any())
+            actuators = self.injected.actuators
+            driven, moved = actuators.forces(acting), actuators.motion(self._motion, self.period_s)
+            plant.advance(driven, moved[0], moved[1])
+            self.forced_periods += bool(driven.any())
             self._missed += 1
             self._apply_injected()
             if self.amplifier_state is not AmplifierState.ENABLED:
@@ -342,8 +352,14 @@ class Core:
             self.amplifier_state = AmplifierState.EXPIRED
             self._acting_n[:] = 0.0
 
+    def repair_actuators(self) -> None:
+        """End the faults of amplifiers and drives; drives stay where they are."""
+        self._motion[:, 0] = self.injected.actuators.where(self._motion)
+        self.injected.actuators.clear()
+
     def _hold_drives(self) -> None:
         self._plan.clear()
+        self._motion[:, 0] = self.injected.actuators.where(self._motion)
         self._motion[:, 1:] = 0.0
 
     def _apply_injected(self) -> None:

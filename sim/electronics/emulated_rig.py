@@ -76,6 +76,7 @@ class Electronics:
                 "sensors": core.sensor_state.name,
                 "drives": core.drive_state.name,
                 "acting_n": core.acting_n.tolist(),
+                "driven_n": core.driven_n.tolist(),
                 "forced_periods": core.forced_periods,
                 "wire": sorted(self.injector.wire),
             }

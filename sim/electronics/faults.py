@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from ..simulated_hand import HOLDS
 from .emulated_devices import Core
+from .faulty_actuators import BEAM, ROTOR, SLOW_S
 
 AXES = ("x1", "x2", "phi")
 
@@ -41,6 +42,11 @@ FAULTS: dict[str, FaultKind] = {
     ),
     "saturated": FaultKind("a sensor channel reads the end of its range", "channel"),
     "trip": FaultKind("a coil's amplifier trips", "channel"),
+    "coil-force": FaultKind("an amplifier drives this force in N, whatever is set", "coil=number"),
+    "coil-gain": FaultKind("an amplifier drives this multiple of its setpoint", "coil=number"),
+    "coil-offset": FaultKind("an amplifier adds this force in N to its setpoint", "coil=number"),
+    "jam": FaultKind("a drive does not move and reports no fault", "axis"),
+    "slow": FaultKind(f"a drive follows with a lag of {SLOW_S:g} s and reports no fault", "axis"),
     "encoder": FaultKind("the encoder of a drive is lost", "axis"),
     "skew": FaultKind("X1 and X2 differ by a distance", "metres"),
     "push": FaultKind("an external force pushes the platform up", "newtons"),
@@ -86,7 +92,23 @@ class Injector:
                 case "axis":
                     if arguments[0] not in AXES:
                         raise InjectionError(f"{name}: expected one of {', '.join(AXES)}")
-                    injected.lost_axes.add(AXES.index(arguments[0]))
+                    axis = AXES.index(arguments[0])
+                    if name == "encoder":
+                        injected.lost_axes.add(axis)
+                    else:
+                        lag_s = SLOW_S if name == "slow" else math.inf
+                        # One motor that jams holds the whole beam.
+                        injected.actuators.lag_s[ROTOR if axis == AXES.index("phi") else BEAM] = (
+                            lag_s
+                        )
+                case "coil=number":
+                    coil, _, number = arguments[0].partition("=")
+                    value = _number(name, number)
+                    injected.actuators.force[_channel(name, coil, self._core.coils)] = {
+                        "coil-force": (0.0, value),
+                        "coil-gain": (value, 0.0),
+                        "coil-offset": (1.0, value),
+                    }[name]
                 case "metres":
                     injected.skew_m = _number(name, arguments[0])
                 case "hold":
@@ -111,6 +133,7 @@ class Injector:
                 channels.clear()
             injected.skew_m = injected.push_n = 0.0
             injected.hold = "rest"
+            self._core.repair_actuators()
 
     @property
     def receives(self) -> bool:

@@ -63,7 +63,7 @@ def test_fault_is_named_by_the_class_and_the_words_of_its_error() -> None:
 
 def test_every_fault_of_a_device_is_injected() -> None:
     faults = {line.split()[0] for line in device_fault_reaction.EXPECTED}
-    assert faults == set(FAULTS) - device_fault_reaction.NO_FAULT_OF_A_DEVICE
+    assert faults == set(FAULTS) - device_fault_reaction.NOT_REPORTED
 
 
 def test_force_that_comes_back_is_counted(monkeypatch) -> None:

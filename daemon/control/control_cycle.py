@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...model.geometry import decoupling_matrix, shape_matrix
-from .controller_memory import ROWS, memory_shape
+from .controller_memory import ROWS, checks_of, memory_shape
 from .faults import Fault
 from .feed_forward import feed_forward
 from .flight_segment import Segment
+from .sensor_checks import SensorChecks, check_sensors, checks_size, jumped, note_command
 from .states import State
 
 Array = NDArray[np.float64]
@@ -22,7 +23,8 @@ Array = NDArray[np.float64]
 _READING, _GAP = int(Fault.READING), int(Fault.GAP)
 _COMPUTATION, _BEAM = int(Fault.COMPUTATION), int(Fault.BEAM)
 _POSE_FAULT, _VELOCITY, _HEAT = int(Fault.POSE), int(Fault.VELOCITY), int(Fault.HEAT)
-_FAULT_STATE = int(State.FAULT)
+_SENSOR = int(Fault.SENSOR)
+_FAULT_STATE, _SELF_TEST = int(State.FAULT), int(State.SELF_TEST)
 BEAM_MARGIN_M = 0.002
 """Overshoot of the beam beyond its setpoint range that is not yet a fault."""
 # The measured beam velocity may exceed the setpoint limit by this factor plus this velocity.
@@ -77,8 +79,11 @@ class Controller:
         self._law = np.concatenate([np.asarray(part, float) for part in law])
         self._memory = np.zeros(memory_shape(coils, sensors)) if memory is None else memory
         self._memory[:ROWS] = 0.0
-        self.heat, _, self._before = np.split(self._memory[ROWS:].ravel(), [coils, coils + 1])
+        self.heat, _, self._before, _ = np.split(
+            self._memory[ROWS:].ravel(), np.cumsum([coils, 1, sensors + 1])
+        )
         """Mean square force (C,) in N^2 over limits.coil_time_constant_s."""
+        self._sensors = SensorChecks(rig, period_s, checks_of(self._memory, sensors))
         self._coil_time_constant_s = limits.coil_time_constant_s
         self._before[:] = np.nan
         self._engaged = False
@@ -107,12 +112,20 @@ class Controller:
             memory[_REST] = memory[_POSE]
             memory[_INTEGRAL] = 0.0
             memory[_GOAL] = 0.0, 0.0, 0.0, 1.0
+            self._sensors.engage()
         if segment.lands:
             memory[_GOAL] = memory[_LAST]
         memory[_MODE, :3] = segment.state, self._engaged, segment.airborne
         self._arrays = (
             segment.v, segment.coil_excitation, segment.blend, segment.beam, segment.rotor,
         )  # fmt: skip
+
+    def learn_rest(self, rows: NDArray[np.void]) -> str:
+        """Learn the sensors' noise from cycle records (n,) at zero force; see SensorChecks.learn.
+
+        The checks that need it, and those of the plane, begin anew.
+        """
+        return self._sensors.learn(rows)
 
     def latch(self, fault: Fault) -> None:
         """Log `fault` in every row until Fault.NONE is latched."""
@@ -129,6 +142,8 @@ class Controller:
             return f"beam velocity {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
         if fault is Fault.HEAT:
             return f"{heat.max() ** 0.5:.1f} N RMS in coil {heat.argmax()}"
+        if fault is Fault.SENSOR:
+            return self._sensors.text()
         return ""
 
     def halt(self) -> None:
@@ -156,20 +171,22 @@ class Controller:
         time_s: float,
         k: int,
         read_s: float = 0.0,
+        stale: int = 0,
     ) -> int:
         """Compute cycle `k` of the segment and write row `slot`; return the fault, 0 for none.
 
-        `read_s` is the delay from the cycle's nominal time to the last reading, in s.
+        `read_s` is the delay from the cycle's nominal time to the last reading, in s. `stale` are
+        the bits of the log field: which readings are of an earlier cycle.
         """
         return control_cycle(  # type: ignore[no-any-return]
-            rows, slot, cycle, time_s, k, read_s,
+            rows, slot, cycle, time_s, k, read_s, stale,
             self._inputs, self._outputs, self._law, self._memory, *self._arrays,
         )  # fmt: skip
 
 
 @njit(cache=True)
 def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - the cycle, in its order
-    rows, slot, cycle, time_s, k, read_s, inputs, outputs, law, memory,
+    rows, slot, cycle, time_s, k, read_s, stale, inputs, outputs, law, memory,
     v_all, coil_excitation_all, blend_all, beam_all, rotor_all,
 ):  # fmt: skip
     """Compute one cycle; see Controller.step, and Controller for the packed arrays.
@@ -211,12 +228,14 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
             fault = _GAP
     # If the loop stalled before reading, the gaps changed over these periods too.
     periods = cycle - before[n_sensors] + max(read_s / Ts - 1.0, 0.0)
-    fresh = False
+    checks = more[more.size - checks_size(n_sensors) :]
+    fresh, too_fast, most = False, False, speed_limit * Ts * periods
     for j in range(n_sensors):
-        moved = abs(gap[j] - before[j])
-        if moved > speed_limit * Ts * periods and airborne and in_control:
-            fault = _VELOCITY
+        too_fast = too_fast or abs(gap[j] - before[j]) > most
         fresh = fresh or gap[j] != before[j]
+    if too_fast and airborne and in_control:
+        fault = _SENSOR if jumped(gap, before[:n_sensors], most, checks) else _VELOCITY
+    for j in range(n_sensors):
         before[j] = gap[j]
     if fresh:  # stale gaps keep their cycle: the next change spans the whole time
         before[n_sensors] = cycle
@@ -252,6 +271,11 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         and airborne and in_control and fault == 0
     ):  # fmt: skip
         fault = _POSE_FAULT
+    # A sensor at fault explains why the platform seems to leave its range.
+    judged = memory[_MODE, 3] == 0.0 and state != _SELF_TEST
+    judged = judged and fault in (0, _GAP, _VELOCITY, _POSE_FAULT)
+    if judged and check_sensors(gap, pose, stale, airborne, checks):
+        fault = _SENSOR
     active = in_control and fault == 0
     if active:
         for i in range(3):
@@ -309,6 +333,9 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
             if increment * lost[i] > 0.0:
                 integral[i] -= increment
 
+    steady = active and airborne and beam_ref[1] == 0.0 and rotor_ref[1] == 0.0
+    note_command(coil, S_coils, ff, blend[2], steady, n_sensors, checks)
+
     for j in range(3):
         beam_ref[j] = beam_all[min(k, len(beam_all) - 1), j]
         rotor_ref[j] = rotor_all[min(k, len(rotor_all) - 1), j]
@@ -337,5 +364,5 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     row.fault = fault if fault != 0 else memory[_MODE, 3]
     row.saturated = min(saturated, 255)
     row.skipped = 0
-    row.stale = 0
+    row.stale = stale
     return fault

@@ -86,9 +86,7 @@ class TimedLoop:
         beam, rotor, beam_ref, rotor_ref = (
             control.beam, control.rotor, control.beam_ref, control.rotor_ref,
         )  # fmt: skip
-        lateness, execution, skips, stales = (
-            rows["lateness_s"], rows["execution_s"], rows["skipped"], rows["stale"],
-        )  # fmt: skip
+        lateness, execution, skips = rows["lateness_s"], rows["execution_s"], rows["skipped"]
         tags, words, clock, period_s = ring.tags, self._words, self._clock, self._period_s
         wait, now, late, state_machine = (
             clock.wait,
@@ -126,6 +124,7 @@ class TimedLoop:
             fault = step(
                 rows, slot, cycle, cycle * period_s, k,
                 late_s - skipped * period_s + (read - begin) * 1e-9,
+                sensors.stale | drives.stale | amplifiers.stale,
             )  # fmt: skip
             computed = now()
             if computed - begin > longest_ns and control.engaged:
@@ -136,8 +135,6 @@ class TimedLoop:
             written = now()
             tags[slot], lateness[slot] = state_machine.tag, late_s
             skips[slot] = min(skipped, 255)
-            if sensors.stale or drives.stale or amplifiers.stale:
-                stales[slot] = devices.stale_roles
             ended = now()
             execution[slot] = (ended - begin) * 1e-9
             head += 1
@@ -177,10 +174,12 @@ class TimedLoop:
             state_machine.fail(fault, detail)
             ring, slot = self._ring, self._ring.head % self._ring.capacity
             k = state_machine.advance()  # the first cycle of braking
-            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, k)
+            control.step(
+                ring.rows, slot, self.cycle, self.cycle * self._period_s, k, 0.0,
+                self._devices.stale_roles,
+            )  # fmt: skip
             ring.rows["fault"][slot] = fault
             ring.rows["state"][slot] = State.FAULT
-            ring.rows["stale"][slot] = self._devices.stale_roles
             ring.tags[slot] = state_machine.tag
             ring.head += 1
         # Another device may have failed: without setpoints, drives would stop abruptly or go on.

@@ -193,7 +193,7 @@ class Flight:
         self._recorder.finish()
 
     def _detail(self, fault: Fault) -> str:
-        return self._controller.detail(fault) or self.loop.detail
+        return self.loop.detail or self._controller.detail(fault)
 
     def _stay_in_fault(self, fault: Fault) -> None:
         """Log half a second after a fault at zero force, as long as the devices respond."""

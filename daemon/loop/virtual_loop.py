@@ -9,6 +9,7 @@ from ..control.control_cycle import Controller
 from ..control.exception_to_fault import fault_of
 from ..control.faults import Fault
 from ..control.flight_segment import Segment
+from ..control.standing_readings import MOST_ROWS
 from ..control.states import State, may_become
 from ..ipc.row_ring import NO_LOG, Ring
 
@@ -49,6 +50,9 @@ class VirtualLoop:
             self.detail = f"{segment.state.name} after {self._state.name}"
             return self._failed(Fault.SEQUENCE)
         self._state = segment.state
+        if segment.engages:  # there is no self-test in virtual time
+            rows = self._ring.last(MOST_ROWS).rows
+            self._controller.learn_rest(rows[rows["state"] == State.IDLE])
         self._controller.begin(segment)
         fault = 0
         try:
@@ -80,10 +84,10 @@ class VirtualLoop:
         ring, control = self._ring, self._controller
         if ring.room:
             slot = ring.head % ring.capacity
-            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0)
+            stale = self._devices.stale_roles
+            control.step(ring.rows, slot, self.cycle, self.cycle * self._period_s, 0, 0.0, stale)
             ring.rows["fault"][slot] = fault
             ring.rows["state"][slot] = State.FAULT
-            ring.rows["stale"][slot] = self._devices.stale_roles
             ring.tags[slot] = self.tag
             ring.head += 1
         return fault
@@ -103,7 +107,7 @@ class VirtualLoop:
         beam, rotor, beam_ref, rotor_ref = (
             control.beam, control.rotor, control.beam_ref, control.rotor_ref,
         )  # fmt: skip
-        cycle, head, period_s, stales = self.cycle, ring.head, self._period_s, rows["stale"]
+        cycle, head, period_s = self.cycle, ring.head, self._period_s
         fault = 0
         try:
             for k in range(begin, end):
@@ -113,9 +117,8 @@ class VirtualLoop:
                 sensors.read(gap)
                 drives.read(beam, rotor)
                 amplifiers.read(readback)
-                fault = step(rows, head % capacity, cycle, cycle * period_s, k)
-                if sensors.stale or drives.stale or amplifiers.stale:
-                    stales[head % capacity] = devices.stale_roles
+                stale = sensors.stale | drives.stale | amplifiers.stale
+                fault = step(rows, head % capacity, cycle, cycle * period_s, k, 0.0, stale)
                 amplifiers.write(coil)
                 drives.write(beam_ref, rotor_ref)
                 head += 1

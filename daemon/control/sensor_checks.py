@@ -190,7 +190,7 @@ def check_sensors(  # type: ignore[no-untyped-def]
             own[11], own[12], own[13] = pose[0], pose[1], pose[2]
         else:
             own[_REPEATS] += 1.0
-            if _stands_still(j, pose, airborne, head, sensors, memory[end:]):
+            if _stands_still(j, gap, pose, airborne, head, sensors, memory[end:]):
                 found = j + 1
         residual = gap[j] - (own[8] * pose[0] + own[9] * pose[1] + own[10] * pose[2])
         own[_MEAN] += head[_WEIGHT] * (residual - own[_MEAN])
@@ -216,8 +216,8 @@ def check_sensors(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _stands_still(  # type: ignore[no-untyped-def]
-    j, pose, airborne, head, sensors, projector
+def _stands_still(  # type: ignore[no-untyped-def] # noqa: PLR0911 - one return a reason
+    j, gap, pose, airborne, head, sensors, projector
 ) -> bool:
     """Return whether the repeats of sensor j are a fault."""
     own = sensors[j]
@@ -234,7 +234,7 @@ def _stands_still(  # type: ignore[no-untyped-def]
     moved = abs(own[8] * q0 + own[9] * q1 + own[10] * q2) * by_others
     if moved <= own[_STEP]:
         return False
-    largest, tolerance, variance = 0.0, 0.0, 0.0
+    largest, tolerance, variance, most, best = 0.0, 0.0, 0.0, -1.0, j
     for i in range(len(sensors)):
         other = sensors[i]
         largest = max(largest, abs(other[8] * q0 + other[9] * q1 + other[10] * q2))
@@ -242,6 +242,14 @@ def _stands_still(  # type: ignore[no-untyped-def]
         tolerance += weight * other[_STEP]
         noise = other[_VARIANCE] + other[_STEP] * other[_STEP] / 12.0
         variance += 2.0 * weight * weight * noise
+        residual = gap[i] - (other[8] * pose[0] + other[9] * pose[1] + other[10] * pose[2])
+        change = residual - other[_MEAN]
+        if i == j:
+            moved = min(moved, abs(change) * by_others)
+        if change * change * other[_SHARE] > most:
+            best, most = i, change * change * other[_SHARE]
+    if sensors[best, _REPEATS] < own[_LEAST]:
+        return False  # the wrong reading of another sensor has moved the plane
     beyond = moved - tolerance - _GAIN_ERROR * by_others * largest
     if not beyond > 0.0:  # nan or infinite: a step is unknown
         return False

@@ -8,7 +8,9 @@ nothing else moves the readings. Nothing is assumed of the converter.
 
 **Other sensors.** If they say that the platform has moved by d at this sensor since its reading
 stands, noise must have cancelled d: (|d| - tolerance)^2 / (2 s_d^2) more evidence, whatever n is,
-because the first of the equal readings alone may be the outlier.
+because the first of the equal readings alone may be the outlier. The sensor that explains most of
+the readings' change off their plane must be one that stands: a wrong reading of another sensor is
+no motion.
 
 A reading stands still once the evidence exceeds the limit: `evidence_limit` makes it once in a
 thousand years of all sensors together. Where the noise is below about a third of the step, repeats

@@ -143,6 +143,9 @@ class Limits(Strict):
     """Sum of the absolute coil forces; above it all forces are scaled down."""
     tilt_rad: Positive | None = None
     gap_m_s: Positive | None = None
+    plane_m: Positive | None = None
+    """Distance of a sensor's reading from the plane through the others, averaged over 0.1 s;
+    default: that of the self-test."""
     coil_rms_n: Positive | None = None
     coil_time_constant_s: Positive = 60.0
     coil_follow_n: Positive | None = None
@@ -335,6 +338,11 @@ class RigConfig(Strict):
             return bus_schema(key)
         except ConfigError:
             return None
+
+    @property
+    def plane_m(self) -> float:
+        """Distance in m of a sensor from the plane through the others that is a fault."""
+        return self.limits.plane_m if self.limits.plane_m is not None else self.self_test.plane_m
 
     @property
     def device_limits(self) -> Limits:

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...model.geometry import decoupling_matrix, shape_matrix
-from .controller_memory import ROWS, memory_shape
+from .controller_memory import ROWS, checks_of, memory_shape
 from .faults import Fault
 from .feed_forward import feed_forward
 from .flight_segment import Segment
 from .following_check import check_following, size
 from .following_limits import following_check
+from .sensor_checks import SensorChecks, check_sensors, checks_size, jumped, note_command
 from .states import State
 
 Array = NDArray[np.float64]
@@ -24,8 +25,8 @@ Array = NDArray[np.float64]
 _READING, _GAP = int(Fault.READING), int(Fault.GAP)
 _COMPUTATION, _BEAM = int(Fault.COMPUTATION), int(Fault.BEAM)
 _POSE_FAULT, _VELOCITY, _HEAT = int(Fault.POSE), int(Fault.VELOCITY), int(Fault.HEAT)
-_AMPLIFIER, _DRIVE = int(Fault.AMPLIFIER), int(Fault.DRIVE)
-_FAULT_STATE = int(State.FAULT)
+_AMPLIFIER, _DRIVE, _SENSOR = int(Fault.AMPLIFIER), int(Fault.DRIVE), int(Fault.SENSOR)
+_FAULT_STATE, _SELF_TEST = int(State.FAULT), int(State.SELF_TEST)
 BEAM_MARGIN_M = 0.002
 """Overshoot of the beam beyond its setpoint range that is not yet a fault."""
 # The measured beam velocity may exceed the setpoint limit by this factor plus this velocity.
@@ -87,6 +88,7 @@ class Controller:
         )
         """Mean square force (C,) in N^2 over limits.coil_time_constant_s."""
         self._following = following_check(rig, by_model, period_s, follow)
+        self._sensors = SensorChecks(rig, period_s, checks_of(self._memory, sensors))
         self._coil_time_constant_s = limits.coil_time_constant_s
         self._before[:] = np.nan
         self._engaged = False
@@ -115,6 +117,7 @@ class Controller:
             memory[_REST] = memory[_POSE]
             memory[_INTEGRAL] = 0.0
             memory[_GOAL] = 0.0, 0.0, 0.0, 1.0
+            self._sensors.engage()
         if segment.lands:
             memory[_GOAL] = memory[_LAST]
         memory[_MODE, :3] = segment.state, self._engaged, segment.airborne
@@ -128,6 +131,13 @@ class Controller:
         reads_back: whether the amplifiers measure the force; see following_check.
         """
         self._following.begin(reads_back)
+
+    def learn_rest(self, rows: NDArray[np.void]) -> str:
+        """Learn the sensors' noise from cycle records (n,) at zero force; see SensorChecks.learn.
+
+        The checks that need it, and those of the plane, begin anew.
+        """
+        return self._sensors.learn(rows)
 
     def latch(self, fault: Fault) -> None:
         """Log `fault` in every row until Fault.NONE is latched."""
@@ -144,11 +154,12 @@ class Controller:
             return f"beam velocity {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
         if fault is Fault.HEAT:
             return f"{heat.max() ** 0.5:.1f} N RMS in coil {heat.argmax()}"
-        if fault is Fault.AMPLIFIER:
-            return self._following.coil_text()
-        if fault is Fault.DRIVE:
-            return self._following.drive_text()
-        return ""
+        named = {
+            Fault.AMPLIFIER: self._following.coil_text,
+            Fault.DRIVE: self._following.drive_text,
+            Fault.SENSOR: self._sensors.text,
+        }
+        return named[fault]() if fault in named else ""
 
     def halt(self) -> None:
         """Switch control off: command zero force until a segment engages again."""
@@ -236,12 +247,14 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
             fault = _GAP
     # If the loop stalled before reading, the gaps changed over these periods too.
     periods = cycle - before[n_sensors] + max(read_s / Ts - 1.0, 0.0)
-    fresh = False
+    checks = more[more.size - checks_size(n_sensors) :]
+    fresh, too_fast, most = False, False, speed_limit * Ts * periods
     for j in range(n_sensors):
-        moved = abs(gap[j] - before[j])
-        if moved > speed_limit * Ts * periods and airborne and in_control:
-            fault = _VELOCITY
+        too_fast = too_fast or abs(gap[j] - before[j]) > most
         fresh = fresh or gap[j] != before[j]
+    if too_fast and airborne and in_control:
+        fault = _SENSOR if jumped(gap, before[:n_sensors], most, checks) else _VELOCITY
+    for j in range(n_sensors):
         before[j] = gap[j]
     if fresh:  # stale gaps keep their cycle: the next change spans the whole time
         before[n_sensors] = cycle
@@ -283,6 +296,11 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
         fault = _AMPLIFIER
     elif deviates > n_coils and fault == 0:
         fault = _DRIVE
+    # A sensor at fault explains why the platform seems to leave its range.
+    judged = memory[_MODE, 3] == 0.0 and state != _SELF_TEST
+    judged = judged and fault in (0, _GAP, _VELOCITY, _POSE_FAULT)
+    if judged and check_sensors(gap, pose, stale, airborne, checks):
+        fault = _SENSOR
     active = in_control and fault == 0
     if active:
         for i in range(3):
@@ -339,6 +357,9 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
             increment = ki_Ts[i] * (ref[i] - pose[i])
             if increment * lost[i] > 0.0:
                 integral[i] -= increment
+
+    steady = active and airborne and beam_ref[1] == 0.0 and rotor_ref[1] == 0.0
+    note_command(coil, S_coils, ff, blend[2], steady, n_sensors, checks)
 
     for j in range(3):
         beam_ref[j] = beam_all[min(k, len(beam_all) - 1), j]

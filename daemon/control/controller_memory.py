@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from . import following_check
+from . import following_check, sensor_checks
 
 Array = NDArray[np.float64]
 
@@ -13,13 +13,20 @@ ROWS = 10
 """Rows (ROWS, 4) of state and scratch. Each array argument of a compiled function costs about 50 ns
 a call, and the cycle must not allocate: they share one block. After these rows follow, flat: coil
 heat (C,) in N^2, cycle of the heat, previous gaps (S,), cycle of the previous gaps, state of the
-following check."""
+following check; at the end, state of the sensor checks."""
 
 
 def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
     """Return the shape of the memory array of a controller."""
     numbers = coils + sensors + 2 + following_check.size(coils)
+    numbers += sensor_checks.checks_size(sensors)
     return ROWS + (numbers + 3) // 4, 4
+
+
+def checks_of(memory: Array, sensors: int) -> Array:
+    """Return a view of the state of the sensor checks."""
+    more = memory[ROWS:].reshape(-1)
+    return more[more.size - sensor_checks.checks_size(sensors) :]
 
 
 def heat_of(memory: Array, coils: int) -> Array:

@@ -21,6 +21,7 @@ from ..control.flight_segment import Segment
 from ..control.landing import Landing, Motion
 from ..control.late_cycle_detector import Lateness
 from ..control.self_test import self_test
+from ..control.standing_readings import LEAST_ROWS
 from ..control.states import State, may_become
 from ..ipc.flight_segment_stream import Announced
 from ..ipc.memory_fences import acquire, release
@@ -76,7 +77,7 @@ class StateMachine:
         )
         self._words, self._recover, self._parent = shared.control_words.words, recover, parent
         self._landing = Landing(controller, rig.limits, 1.0 / rig.rate_hz)
-        self._test_cycles = max(round(rig.self_test.duration_s * rig.rate_hz), 2)
+        self._test_cycles = max(round(rig.self_test.duration_s * rig.rate_hz), LEAST_ROWS + 1)
         self._silence_limit = max(round(rig.service.supervisor_s * rig.rate_hz), 2)
 
         words = self._words
@@ -229,7 +230,8 @@ class StateMachine:
         if self._left > 0:
             return 0
         rows = self._ring.last(self._test_cycles - 1).rows
-        error = self_test(rows[rows["state"] == State.SELF_TEST], self._rig)
+        rows = rows[rows["state"] == State.SELF_TEST]
+        error = self_test(rows, self._rig) or self._controller.learn_rest(rows)
         self._tries -= 1
         if not error:
             self._rest(State.IDLE)

@@ -9,6 +9,7 @@ from ..control.control_cycle import Controller
 from ..control.exception_to_fault import fault_of
 from ..control.faults import Fault
 from ..control.flight_segment import Segment
+from ..control.standing_readings import MOST_ROWS
 from ..control.states import State, may_become
 from ..ipc.row_ring import NO_LOG, Ring
 
@@ -49,6 +50,9 @@ class VirtualLoop:
             self.detail = f"{segment.state.name} after {self._state.name}"
             return self._failed(Fault.SEQUENCE)
         self._state = segment.state
+        if segment.engages:  # there is no self-test in virtual time
+            rows = self._ring.last(MOST_ROWS).rows
+            self._controller.learn_rest(rows[rows["state"] == State.IDLE])
         self._controller.begin(segment)
         fault = 0
         try:

@@ -1,0 +1,294 @@
+"""Check the readings of all sensors in every cycle; compiled, the same on every backend.
+
+A sensor's reading may stand still (see standing_readings), lie off the plane through the readings
+of the others (see plane_residual), or jump alone. Each is the fault SENSOR. Readings of a cycle in
+which the device did not answer are old readings and are not checked.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ...config.rig import RigConfig
+from ...log.signals import Stale
+from .force_without_motion import (
+    FORCE_FOUND,
+    FORCE_HEAD,
+    FORCE_SENSOR,
+    STEPS,
+    ForceRule,
+    note_force,
+)
+from .plane_residual import averaging_cycles, off_plane, plane_text, residual_projector
+from .standing_readings import (
+    LEAST_REPEATS,
+    LEAST_ROWS,
+    RestNoise,
+    evidence_limit,
+    rest_noise,
+)
+
+Array = NDArray[np.float64]
+
+_OLD = int(Stale.SENSORS)
+_GAIN_ERROR = 0.1
+"""Share of a motion by which the sensors may disagree: gains, nonlinearity, flexible parts."""
+
+# Scalars, then those of the force rule.
+(
+    _FOUND, _WHERE, _AMOUNT, _SINCE_ENGAGED, _EVIDENCE, _WEIGHT, _PLANE, _COARSE,
+) = range(8)  # fmt: skip
+_HEAD = 8 + FORCE_HEAD
+# Of each sensor: newest reading, repeats, averaged residual; evidence of a repeat in nats, step,
+# variance, repeats before the motion of the others counts; one over its residual's share of its
+# error (0: not seen by the others); row of the shape matrix; pose since which it repeats.
+_LAST, _REPEATS, _MEAN, _NATS, _STEP, _VARIANCE, _LEAST, _SHARE = range(8)
+_SHAPE, _SINCE = slice(8, 11), slice(11, 14)
+_SENSOR = 14 + FORCE_SENSOR
+_FORCE = slice(14, _SENSOR)
+_STANDS, _OFF, _JUMPED, _WITHOUT_MOTION = 1, 2, 3, 4
+
+
+@njit(cache=True)
+def checks_size(sensors) -> int:  # type: ignore[no-untyped-def]
+    """Return how many numbers the checks keep in the controller's memory."""
+    return _HEAD + sensors * (_SENSOR + sensors)  # type: ignore[no-any-return]
+
+
+class SensorChecks:
+    """Set up the checks of S sensors, learn their noise at rest, and say what was found.
+
+    Args:
+        rig: geometry, limits and model.
+        period_s: cycle period in s.
+        memory: array of `checks_size` numbers, part of the controller's memory.
+    """
+
+    def __init__(self, rig: RigConfig, period_s: float, memory: Array) -> None:
+        x, y = rig.geometry.sensors_x_m, rig.geometry.sensors_y_m
+        count = len(x)
+        self._rig, self._rate_hz = rig, 1.0 / period_s
+        self._head, sensors, projector = np.split(memory, [_HEAD, _HEAD + count * _SENSOR])
+        self._sensors = sensors.reshape(count, _SENSOR)
+        memory[:] = 0.0
+        found = residual_projector(x, y)
+        projector[:] = found.projector.ravel()
+        self._sensors[:, _SHARE] = found.inverse_share
+        self._sensors[:, _SHAPE] = found.shape
+        self._projector = found.projector
+        self._head[_EVIDENCE] = evidence_limit(count, self._rate_hz)
+        self._head[_PLANE] = rig.plane_m
+        self._force = ForceRule(rig, period_s, self._head[8:], self._sensors[:, _FORCE])
+        self._earlier: RestNoise | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget noise and readings: the sensors may be others, or repaired."""
+        sensors = self._sensors
+        # Unknown: no repeat is evidence.
+        sensors[:, _NATS], sensors[:, _STEP], sensors[:, _VARIANCE] = 0.0, math.inf, math.inf
+        sensors[:, _LEAST] = LEAST_REPEATS
+        self._average(None)
+        self._begin()
+
+    def learn(self, rows: NDArray[np.void]) -> str:
+        """Measure the noise in cycle records (n,) at zero force, and begin the checks.
+
+        Return what is wrong, empty if nothing is: a sensor that had noise before repeats a single
+        reading. Fewer than LEAST_ROWS records with new readings leave the noise unknown.
+        """
+        rows = rows[(rows["stale"] & _OLD) == 0]
+        self.forget()
+        if len(rows) < LEAST_ROWS:
+            return ""
+        noise, sensors = rest_noise(rows["gap_m"]), self._sensors
+        if self._earlier is not None:
+            expected = (len(rows) - 1) * -np.log(self._earlier.repeat)
+            standing = np.flatnonzero(np.isinf(noise.step_m) & (expected > self._head[_EVIDENCE]))
+            if len(standing):
+                return f"{_named(standing, len(sensors))} at rest, with noise before"
+        self._earlier = noise
+        sensors[:, _NATS] = -np.log(noise.repeat)
+        sensors[:, _STEP], sensors[:, _VARIANCE] = noise.step_m, noise.noise_m**2
+        sensors[:, _LEAST] = np.maximum(2.0 * noise.longest, LEAST_REPEATS)
+        self._head[_COARSE] = float(np.any(noise.repeat >= 1.0))
+        self._average(noise)
+        return ""
+
+    def engage(self) -> None:
+        """Note that control begins."""
+        self._head[_SINCE_ENGAGED] = 0.0
+        self._force.begin()
+
+    def text(self) -> str:
+        """Return which sensor was found, and what is wrong with it; empty if nothing was."""
+        found, where, amount = int(self._head[_FOUND]), int(self._head[_WHERE]), self._head[_AMOUNT]
+        sensors = self._sensors
+        if found in (_STANDS, _WITHOUT_MOTION):
+            standing = np.flatnonzero(sensors[:, _REPEATS] >= max(0.5 * amount, 1.0))
+            words = f"{_named(standing, len(sensors))} for {amount:.0f} cycles"
+            return words if found == _STANDS else f"{words} while the commanded force changed"
+        if found == _OFF:
+            # The average follows with a delay: the newest readings tell how far.
+            residual = self._projector @ sensors[:, _LAST]
+            return plane_text(sensors[:, _MEAN], residual, self._projector, self._head[_PLANE])
+        if found == _JUMPED:
+            return f"sensor {where} jumped by {1e3 * amount:.3f} mm, the others did not"
+        return ""
+
+    def _begin(self) -> None:
+        sensors = self._sensors
+        sensors[:, _LAST] = math.nan
+        sensors[:, _REPEATS] = sensors[:, _MEAN] = 0.0
+        self._head[:4] = 0.0
+        self._head[_COARSE] = 1.0
+        self._force.begin()
+
+    def _average(self, noise: RestNoise | None) -> None:
+        noise_m = np.zeros(len(self._sensors)) if noise is None else noise.noise_m
+        error_m = float((noise_m * np.sqrt(self._sensors[:, _SHARE])).max())
+        self._head[_WEIGHT] = 1.0 / averaging_cycles(
+            error_m, self._head[_PLANE], self._rate_hz, self._head[_EVIDENCE]
+        )
+
+
+def _named(standing: NDArray[np.intp], count: int) -> str:
+    names = [str(number) for number in standing]
+    if len(names) == count:
+        return f"all {count} sensors repeat their readings"
+    if len(names) == 1:
+        return f"sensor {names[0]} repeats its reading"
+    return f"sensors {', '.join(names[:-1])} and {names[-1]} repeat their readings"
+
+
+@njit(cache=True)
+def check_sensors(  # type: ignore[no-untyped-def]
+    gap, pose, stale, airborne, memory
+) -> bool:
+    """Check the readings of a cycle; return whether a sensor is at fault.
+
+    control_cycle contains the compiled code: touch its file after a change here.
+    """
+    if stale & _OLD:
+        return False
+    n = gap.size
+    head, end = memory[:_HEAD], _HEAD + n * _SENSOR
+    sensors = memory[_HEAD:end].reshape(n, _SENSOR)
+    head[_SINCE_ENGAGED] += 1.0
+    found, off = 0, False
+    for j in range(n):
+        own = sensors[j]
+        if gap[j] != own[_LAST]:
+            if own[_NATS] == 0.0:  # the step was not seen at rest, or not reliably
+                own[_STEP] = min(own[_STEP], abs(gap[j] - own[_LAST]))
+            own[_LAST] = gap[j]
+            own[_REPEATS] = 0.0
+            own[11], own[12], own[13] = pose[0], pose[1], pose[2]
+        else:
+            own[_REPEATS] += 1.0
+            if _stands_still(j, gap, pose, airborne, head, sensors, memory[end:]):
+                found = j + 1
+        residual = gap[j] - (own[8] * pose[0] + own[9] * pose[1] + own[10] * pose[2])
+        own[_MEAN] += head[_WEIGHT] * (residual - own[_MEAN])
+        off = off or abs(own[_MEAN]) * own[_SHARE] > head[_PLANE]
+    if found:
+        head[_FOUND], head[_WHERE] = _STANDS, found - 1
+        head[_AMOUNT] = sensors[found - 1, _REPEATS]
+        return True
+    if head[_COARSE] > 0.0:
+        at = int(head[8 + FORCE_FOUND]) - 1
+        head[8 + FORCE_FOUND] = 0.0
+        if at >= 0 and sensors[at, _REPEATS] > 0.0:
+            head[_FOUND], head[_WHERE] = _WITHOUT_MOTION, at
+            head[_AMOUNT] = sensors[at, _REPEATS]
+            return True
+    if off:
+        at = off_plane(sensors[:, _MEAN], sensors[:, _SHARE])
+        error = sensors[at, _MEAN] * sensors[at, _SHARE]
+        if abs(error) > head[_PLANE]:
+            head[_FOUND], head[_WHERE], head[_AMOUNT] = _OFF, at, error
+            return True
+    return False
+
+
+@njit(cache=True)
+def _stands_still(  # type: ignore[no-untyped-def] # noqa: PLR0911 - one return a reason
+    j, gap, pose, airborne, head, sensors, projector
+) -> bool:
+    """Return whether the repeats of sensor j are a fault."""
+    own = sensors[j]
+    repeats = own[_REPEATS]
+    if repeats * own[_NATS] > head[_EVIDENCE]:
+        return True
+    if own[_NATS] == 0.0 and airborne and repeats >= head[_SINCE_ENGAGED] > LEAST_REPEATS:
+        # Not one step since before lift-off, and its height is another than at the working point.
+        return abs(own[_LAST]) > STEPS * (own[_STEP] if own[_STEP] < math.inf else 0.0)
+    if repeats < own[_LEAST] or own[_SHARE] == 0.0:
+        return False
+    by_others = own[_SHARE]  # the pose follows from all readings, also from the one that stands
+    q0, q1, q2 = pose[0] - own[11], pose[1] - own[12], pose[2] - own[13]
+    moved = abs(own[8] * q0 + own[9] * q1 + own[10] * q2) * by_others
+    if moved <= own[_STEP]:
+        return False
+    largest, tolerance, variance, most, best = 0.0, 0.0, 0.0, -1.0, j
+    for i in range(len(sensors)):
+        other = sensors[i]
+        largest = max(largest, abs(other[8] * q0 + other[9] * q1 + other[10] * q2))
+        weight = abs(projector[j * len(sensors) + i]) * by_others
+        tolerance += weight * other[_STEP]
+        noise = other[_VARIANCE] + other[_STEP] * other[_STEP] / 12.0
+        variance += 2.0 * weight * weight * noise
+        residual = gap[i] - (other[8] * pose[0] + other[9] * pose[1] + other[10] * pose[2])
+        change = residual - other[_MEAN]
+        if i == j:
+            moved = min(moved, abs(change) * by_others)
+        if change * change * other[_SHARE] > most:
+            best, most = i, change * change * other[_SHARE]
+    if sensors[best, _REPEATS] < own[_LEAST]:
+        return False  # the wrong reading of another sensor has moved the plane
+    beyond = moved - tolerance - _GAIN_ERROR * by_others * largest
+    if not beyond > 0.0:  # nan or infinite: a step is unknown
+        return False
+    return repeats * own[_NATS] + beyond * beyond / (2.0 * variance) > head[_EVIDENCE]
+
+
+@njit(cache=True)
+def jumped(gap, before, most, memory) -> bool:  # type: ignore[no-untyped-def]
+    """Return whether one reading alone explains a change by more than `most` in m since `before`.
+
+    The changes of the others, and of this one without its error, stay within `most`.
+    """
+    n = gap.size
+    head, end = memory[:_HEAD], _HEAD + n * _SENSOR
+    sensors, projector = memory[_HEAD:end].reshape(n, _SENSOR), memory[end:]
+    for j in range(n):
+        error = 0.0
+        for i in range(n):
+            error += projector[j * n + i] * (gap[i] - before[i])
+        error *= sensors[j, _SHARE]
+        alone = True
+        for i in range(n):
+            change = gap[i] - before[i] - (error if i == j else 0.0)
+            alone = alone and abs(change) <= most
+        if alone:
+            head[_FOUND], head[_WHERE], head[_AMOUNT] = _JUMPED, j, error
+            return True
+    return False
+
+
+@njit(cache=True)
+def note_command(  # type: ignore[no-untyped-def]
+    coil, coil_shape, planned, share, steady, n_sensors, memory
+) -> None:
+    """Note the commanded coil forces (C,), which act from the next cycle on; see note_force."""
+    head = memory[:_HEAD]
+    if head[_COARSE] > 0.0:
+        sensors = memory[_HEAD : _HEAD + n_sensors * _SENSOR].reshape(n_sensors, _SENSOR)
+        note_force(
+            coil, coil_shape, planned, share, steady, head[8:], sensors[:, 14:],
+            sensors[:, _REPEATS], sensors[:, _STEP],
+        )  # fmt: skip

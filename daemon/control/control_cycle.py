@@ -144,11 +144,7 @@ class Controller:
             return f"beam velocity {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
         if fault is Fault.HEAT:
             return f"{heat.max() ** 0.5:.1f} N RMS in coil {heat.argmax()}"
-        if fault is Fault.AMPLIFIER:
-            return self._following.coil_text()
-        if fault is Fault.DRIVE:
-            return self._following.drive_text()
-        return ""
+        return self._following.text(fault)
 
     def halt(self) -> None:
         """Switch control off: command zero force until a segment engages again."""

@@ -2,8 +2,9 @@
 
 The backend runs in the loop. At the start of a cycle it takes one line from a socket in the rig's
 folder: `push 50` (N), `tilt 0.6` (N m), `shift 0.2` (offset of the beam's encoders, m), `race 2.0`
-(their drift, m/s), `nan-coil 3`, `nan-axis x1`, or a fault that the backend itself reports, such as
-`trip 3`: see REPORTED. The simulated amplifiers end with the loop, and stand still with it.
+(their drift, m/s), `nan-coil 3`, `nan-axis x1`, `coil-force 3=7.6`, `coil-gain 3=0.5`, `coil-offset
+3=2`, `jam x1`, `slow phi` (as in `levid electronics`), or a fault that the backend itself reports,
+such as `trip 3`: see REPORTED. The simulated amplifiers end with the loop, and stand still with it.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from levid.drivers.base import (
     StaleError,
 )
 from levid.drivers.loopback import LoopbackBackend
+from levid.sim.electronics.faulty_actuators import Array, FaultyActuators
 
 BACKEND = "fault_injecting_loopback"
 """Name of the backend in RIG.yaml."""
@@ -51,7 +53,14 @@ class FaultInjectingLoopback(LoopbackBackend):
 
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         super().__init__(context, roles)
-        self._period_s = context.period_s
+        self._period_s = period_s = context.period_s
+        self._actuators = actuators = FaultyActuators()
+        advance = self._plant.advance
+
+        def advanced(coil_n: Array, beam: Array, rotor: Array) -> None:
+            advance(actuators.forces(coil_n), *actuators.motion(np.stack([beam, rotor]), period_s))
+
+        self._plant.advance = advanced  # type: ignore[method-assign]
         self._faults: dict[str, str] = {}
         self._raced_m = 0.0
         self._forced_periods = 0
@@ -66,7 +75,7 @@ class FaultInjectingLoopback(LoopbackBackend):
         """Take a line, advance the plant, count the periods with force and spoil the readings."""
         self._take_line()
         before = cycle if self._cycle is None else self._cycle
-        acts = self._acting.coil_n.any()
+        acts = self._actuators.forces(self._acting.coil_n).any()
         super().sync(cycle, late_s)
         if acts:
             self._forced_periods += cycle - before
@@ -93,13 +102,20 @@ class FaultInjectingLoopback(LoopbackBackend):
             "number": number,
             "pid": os.getpid(),
             "acting_n": self._acting.coil_n.tolist(),
+            "driven_n": self._actuators.forces(self._acting.coil_n).tolist(),
             "forced_periods": self._forced_periods,
             "force_ends_s": list(self._ends_s),
         }
         name, _, argument = line.partition(" ")
         if name == "clear":
             self._faults.clear()
+            self._actuators.clear()
             self._raced_m = 0.0
+        elif name.startswith("coil-"):
+            coil, _, number = argument.partition("=")
+            self._actuators.set_force(name, int(coil), float(number))
+        elif name in ("jam", "slow"):
+            self._actuators.delay_drive(name, argument)
         elif name != "status":
             self._faults[name] = argument
         push, tilt = (float(self._faults.get(name, 0.0)) for name in ("push", "tilt"))

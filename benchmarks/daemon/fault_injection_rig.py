@@ -204,7 +204,7 @@ class Rig:
         """
         if self.until(_rests) is None:
             raise NotInjectedError("the rig is not at rest")
-        self.flight = Path(tempfile.mkdtemp(dir=self.folder)) / "logs"
+        self._new_flight()
         try:
             self._take_off(state)
             due_s = time.monotonic() + delay_s
@@ -218,20 +218,28 @@ class Rig:
             raise NotInjectedError(f"expected {state}, found {found}")
         return status
 
+    def begin_levitating(self) -> None:
+        """Lift off, with a log, without waiting for it."""
+        self._new_flight()
+        self.begin("levitate", levitate=_LIFT, land={"ramp_s": RAMP_S}, out=str(self.flight))
+
+    def _new_flight(self) -> None:
+        self.flight = Path(tempfile.mkdtemp(dir=self.folder)) / "logs"
+
     def _take_off(self, state: str) -> None:
         out = str(self.flight)
         if state == "EXCITING":
-            self._begin("excite", session=yaml.safe_dump(_SESSION), out=out)
+            self.begin("excite", session=yaml.safe_dump(_SESSION), out=out)
             return
         land = {"ramp_s": LANDING_S if state == "LANDING" else RAMP_S}
         self.ask("levitate", levitate=_LIFT, land=land, out=out)
         if state == "MOVING":
             to_m = 0.01 if self.ask("status")["beam_m"] < 0.0 else -0.01
-            self._begin("move", move={"beam_m": to_m, "velocity_m_s": 0.001})
+            self.begin("move", move={"beam_m": to_m, "velocity_m_s": 0.001})
         elif state == "LANDING":
             self.ask("land")
 
-    def _begin(self, op: str, **more: Any) -> None:
+    def begin(self, op: str, **more: Any) -> None:
         """Send a request that takes long, and do not wait for its end."""
         self._client = socket.socket(socket.AF_UNIX)
         self._client.settimeout(GIVE_UP_S)

@@ -154,12 +154,9 @@ class Controller:
             return f"beam velocity {self.beam[1]:.3f} m/s, height {1e3 * self.pose[2]:.3f} mm"
         if fault is Fault.HEAT:
             return f"{heat.max() ** 0.5:.1f} N RMS in coil {heat.argmax()}"
-        named = {
-            Fault.AMPLIFIER: self._following.coil_text,
-            Fault.DRIVE: self._following.drive_text,
-            Fault.SENSOR: self._sensors.text,
-        }
-        return named[fault]() if fault in named else ""
+        if fault is Fault.SENSOR:
+            return self._sensors.text()
+        return self._following.text(fault)
 
     def halt(self) -> None:
         """Switch control off: command zero force until a segment engages again."""

@@ -57,7 +57,8 @@ class FeedForwardLaw:
     @property
     def per_beam_m(self) -> Array:
         """Wrench (3,) per metre of beam position, in N, N, N/m."""
-        return self.by_model[:, 4] + np.array([0.0, self.beam_weight_n, 0.0])
+        per_m: Array = self.by_model[:, 4] + np.array([0.0, self.beam_weight_n, 0.0])
+        return per_m
 
     def wrench(self, beam: Array) -> Array:
         """Return the wrench (n, 3) at the working point for setpoints (n, 3) of the beam."""

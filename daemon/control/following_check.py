@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ...log.cycle_codes import Fault
 from ...log.signals import Stale
 
 Array = NDArray[np.float64]
@@ -82,25 +83,21 @@ class FollowingCheck:
         channels[:, _COUNT] = 0.0
         self._memory[_SETTLE] = _SETTLING
 
-    def coil_text(self) -> str:
-        """Return which coil deviates, its commanded and its read-back force; empty if none does."""
+    def text(self, fault: Fault) -> str:
+        """Return the channel that deviates, its command and its reading; empty for other faults."""
         worst, command, reading = self._memory[_WORST:]
-        if not 0 <= worst < self._coils:
-            return ""
-        return f"coil {worst:.0f}: commanded {command:.2f} N, reads back {reading:.2f} N"
-
-    def drive_text(self) -> str:
-        """Return which drive does not follow, its setpoint and position; empty if both do."""
-        worst, command, reading = self._memory[_WORST:]
-        if worst < self._coils:
-            return ""
-        if worst == self._coils:
-            return f"the beam is at {1e3 * reading:.3f} mm, its setpoint is {1e3 * command:.3f} mm"
-        return f"the rotor is at {reading:.4f} rad, its setpoint is {command:.4f} rad"
+        if fault is Fault.AMPLIFIER and 0 <= worst < self._coils:
+            return f"coil {worst:.0f}: commanded {command:.2f} N, reads back {reading:.2f} N"
+        if fault is Fault.DRIVE and worst == self._coils:
+            position, setpoint = f"{1e3 * reading:.3f} mm", f"{1e3 * command:.3f} mm"
+            return f"the beam is at {position}, its setpoint is {setpoint}"
+        if fault is Fault.DRIVE and worst > self._coils:
+            return f"the rotor is at {reading:.4f} rad, its setpoint is {command:.4f} rad"
+        return ""
 
 
 @njit(cache=True)
-def check_following(  # type: ignore[no-untyped-def]
+def check_following(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one pass over the channels
     coil, readback, beam_m, beam_ref_m, rotor_rad, rotor_ref_rad, stale, judged, memory
 ) -> int:
     """Update the check with a cycle's readings; return the channel that deviates.

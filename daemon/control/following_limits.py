@@ -34,7 +34,7 @@ def coil_follow_n(rig: RigConfig) -> float:
 
 
 def coil_lag_s(rig: RigConfig, law: FeedForwardLaw) -> float:
-    """Return the longest time constant of the amplifiers, in s: twice the model's, at least 1 ms."""
+    """Return the longest time constant of the amplifiers in s: twice the model's, at least 1 ms."""
     return rig.limits.coil_lag_s or max(_TIMES_LAG * law.lag_s, _LEAST_LAG_S)
 
 

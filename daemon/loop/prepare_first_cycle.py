@@ -40,8 +40,9 @@ def locate(
 ) -> None:
     """Read the manipulator position in this cycle and set it as setpoint, to hold it there.
 
-    From then on the controller checks that coils and drives follow their commands. A lost or late answer is requested again. Raises DriveError if no position comes within
-    `timeout_s` or the beam is out of range; then the setpoints stay unchanged.
+    From then on the controller checks that coils and drives follow their commands. A lost or late
+    answer is requested again. Raises DriveError if no position comes within `timeout_s` or the beam
+    is out of range; then the setpoints stay unchanged.
     """
     beam, rotor = controller.beam, controller.rotor
     deadline_s = perf_counter() + timeout_s

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..simulated_hand import HOLDS
 from .emulated_devices import Core
-from .faulty_actuators import BEAM, ROTOR, SLOW_S
+from .faulty_actuators import SLOW_S
 
 AXES = ("x1", "x2", "phi")
 
@@ -90,31 +91,19 @@ class Injector:
                         "trip": injected.tripping,
                     }[name].add(channel)
                 case "axis":
-                    if arguments[0] not in AXES:
-                        raise InjectionError(f"{name}: expected one of {', '.join(AXES)}")
-                    axis = AXES.index(arguments[0])
+                    axis = _one_of(name, arguments[0], AXES)
                     if name == "encoder":
                         injected.lost_axes.add(axis)
                     else:
-                        lag_s = SLOW_S if name == "slow" else math.inf
-                        # One motor that jams holds the whole beam.
-                        injected.actuators.lag_s[ROTOR if axis == AXES.index("phi") else BEAM] = (
-                            lag_s
-                        )
+                        injected.actuators.delay_drive(name, AXES[axis])
                 case "coil=number":
                     coil, _, number = arguments[0].partition("=")
-                    value = _number(name, number)
-                    injected.actuators.force[_channel(name, coil, self._core.coils)] = {
-                        "coil-force": (0.0, value),
-                        "coil-gain": (value, 0.0),
-                        "coil-offset": (1.0, value),
-                    }[name]
+                    channel = _channel(name, coil, self._core.coils)
+                    injected.actuators.set_force(name, channel, _number(name, number))
                 case "metres":
                     injected.skew_m = _number(name, arguments[0])
                 case "hold":
-                    if arguments[0] not in HOLDS:
-                        raise InjectionError(f"{name}: expected one of {', '.join(HOLDS)}")
-                    injected.hold = arguments[0]
+                    injected.hold = HOLDS[_one_of(name, arguments[0], HOLDS)]
                 case "newtons":
                     injected.push_n = _number(name, arguments[0])
                 case _:
@@ -194,6 +183,12 @@ def _channel(name: str, text: str, count: int) -> int:
     if not text.isdecimal() or int(text) >= count:
         raise InjectionError(f"{name}: expected a channel from 0 to {count - 1}, found '{text}'")
     return int(text)
+
+
+def _one_of(name: str, text: str, choices: Sequence[str]) -> int:
+    if text not in choices:
+        raise InjectionError(f"{name}: expected one of {', '.join(choices)}")
+    return choices.index(text)
 
 
 def _number(name: str, text: str) -> float:

@@ -15,6 +15,7 @@ __all__ = [
     "ROLES",
     "check_backends",
     "emulated",
+    "gap_step_m",
     "missing",
     "names",
     "open_devices",
@@ -37,6 +38,12 @@ def emulated(context: Context) -> bool:
         _backend_class(name, role).emulated(context, role, options)
         for role, (name, options) in _roles(context).items()
     )
+
+
+def gap_step_m(context: Context) -> float | None:
+    """Return the step of the sensors' readings in m, None if unknown; no device is opened."""
+    name, options = _roles(context)["sensors"]
+    return _backend_class(name, "sensors").gap_step_m(context, options)
 
 
 def missing(context: Context) -> list[str]:

@@ -50,7 +50,6 @@ EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
     "bus-off": ((LinkError, StaleError), "the controller is bus-off|^serial .*received: nothing"),
     "disconnect": ((StaleError, LinkError), "received: nothing|lost"),
     "stuck 4": ((SensorError,), "sensor 4: no reading"),
-    "frozen 6": ((SensorError,), "sensor 6: frozen"),
     "saturated 2": ((SensorError,), "sensor 2: at the end of its range"),
     "trip 3": ((AmplifierError,), "tripped, coil 3"),
     "encoder phi": ((DriveError,), "0x7305"),
@@ -59,8 +58,9 @@ EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
 """Error of the host, and words in it, for each line that injects a fault."""
 UNHEARD = ("drop-setpoints", "bus-off", "disconnect")
 """Faults that stop everything that the host sends: only the device's own expiry ends the force."""
-NO_FAULT_OF_A_DEVICE = {"push", "lift"}
-"""A force on the platform, which control has to hold, and a hand that lifts it."""
+NO_FAULT_OF_A_DEVICE = {"push", "lift", "frozen", "off"}
+"""A force on the platform, which control has to hold, a hand that lifts it, and readings that only
+the control cycle can judge."""
 
 RATE_HZ = 50.0
 MOST_CYCLES = 60

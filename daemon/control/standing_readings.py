@@ -37,6 +37,8 @@ LEAST_ROWS = 60
 """Fewest readings from which the noise is estimated."""
 MOST_ROWS = 500
 """Newest readings that are used."""
+COUNTED_NOISE = 0.4
+"""Noise over the step from which 200 readings show that repeats are rare."""
 LEAST_STEP = 1e-6
 """Step over the gap limit below which changes are no noise: a simulated platform without noise
 comes to rest by ever smaller steps."""

@@ -165,10 +165,11 @@ def _periods(rows: NDArray[np.void]) -> int:
 def _rig(rig: RigConfig, path: Path) -> str:
     from ..config.base import ConfigError
     from ..config.rig import with_model
+    from ..daemon.control.sensor_limits import standing_text, standing_warning, undetectable
     from ..daemon.control.watchdog_times import expiry_warning
     from ..daemon.control.zero_force import NOT_READ_BACK
     from ..drivers.base import Context
-    from ..drivers.open_backends import check_backends, reads_back
+    from ..drivers.open_backends import check_backends, gap_step_m, reads_back
     from ..model.geometry import GeometryError, decoupling_matrix
 
     try:
@@ -177,7 +178,8 @@ def _rig(rig: RigConfig, path: Path) -> str:
     except GeometryError as error:
         raise ConfigError(f"{path}: geometry: {error}") from None
     try:
-        budget = check_backends(Context(rig, 1 / rig.rate_hz, path.parent))
+        context = Context(rig, 1 / rig.rate_hz, path.parent)
+        budget, step_m = check_backends(context), gap_step_m(context)
     except ConfigError as error:
         names_file = str(error).startswith(f"{path}: ")
         raise ConfigError(f"{'' if names_file else f'{path}: '}{error}") from None
@@ -190,7 +192,21 @@ def _rig(rig: RigConfig, path: Path) -> str:
     coils = f"{len(rig.geometry.coil_x_m)} coils"
     whole = with_model(rig, path)
     forces, margin = _feed_forward(whole, path), _loop(whole, path)
-    return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {forces}{margin}"
+    noisy = standing_warning(whole, context.period_s, step_m, _simulated_noise_m(rig, path))
+    for warning in filter(None, (*undetectable(rig), noisy)):
+        click.echo(f"{path}: warning: {warning}", err=True)
+    stands = standing_text(whole, context.period_s, step_m)
+    return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {forces}{margin}; {stands}"
+
+
+def _simulated_noise_m(rig: RigConfig, path: Path) -> float | None:
+    """Return the noise of the simulated sensors of a rig on loopback, else None."""
+    from ..config.base import load_yaml
+    from ..config.sim import SimConfig
+
+    if rig.sim is None or rig.sensors.backend != "loopback":
+        return None
+    return load_yaml(path.parent / rig.sim, SimConfig).sensors.noise_m
 
 
 def _loop(rig: RigConfig, path: Path) -> str:

@@ -40,7 +40,7 @@ class AmplifierError(DriverError):
 
 
 class SensorError(DriverError):
-    """A sensor channel has no reading, is stuck, or is at the end of its range."""
+    """A sensor channel has no reading, or is at the end of its range."""
 
 
 class DriveError(DriverError):
@@ -144,6 +144,14 @@ class Backend(ABC):
         gives none, stays unknown. No device is opened.
         """
         return True
+
+    @classmethod
+    def gap_step_m(cls, context: Context, options: dict[str, Any]) -> float | None:  # noqa: ARG003
+        """Return the smallest change in m that its sensors' readings show, None if unknown.
+
+        For `levid check`: the control cycle measures it.
+        """
+        return None
 
     @abstractmethod
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:

@@ -37,6 +37,12 @@ class LoopbackBackend(Backend):
         """Return True: the plant is simulated."""
         return True
 
+    @classmethod
+    def gap_step_m(cls, context: Context, options: dict[str, Any]) -> float | None:  # noqa: ARG003
+        """Return the step of the simulated converter in m."""
+        sensors = _sim_config(context)[1].sensors
+        return float(2.0 * sensors.range_m / 2**sensors.bits)
+
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:  # noqa: ARG002
         """Build the plant, at rest on its stops."""
         from ..sim.plant import Plant  # compiles: a check of a rig must not wait for it

@@ -15,6 +15,7 @@ __all__ = [
     "ROLES",
     "check_backends",
     "emulated",
+    "gap_step_m",
     "missing",
     "names",
     "open_devices",
@@ -44,6 +45,12 @@ def reads_back(context: Context) -> bool:
     """Return whether the rig's amplifiers measure the coil forces; no device is opened."""
     name, options = _roles(context)["amplifiers"]
     return _backend_class(name, "amplifiers").reads_back(context, options)
+
+
+def gap_step_m(context: Context) -> float | None:
+    """Return the step of the sensors' readings in m, None if unknown; no device is opened."""
+    name, options = _roles(context)["sensors"]
+    return _backend_class(name, "sensors").gap_step_m(context, options)
 
 
 def missing(context: Context) -> list[str]:

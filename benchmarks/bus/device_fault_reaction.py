@@ -50,7 +50,6 @@ EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
     "bus-off": ((LinkError, StaleError), "the controller is bus-off|^serial .*received: nothing"),
     "disconnect": ((StaleError, LinkError), "received: nothing|lost"),
     "stuck 4": ((SensorError,), "sensor 4: no reading"),
-    "frozen 6": ((SensorError,), "sensor 6: frozen"),
     "saturated 2": ((SensorError,), "sensor 2: at the end of its range"),
     "trip 3": ((AmplifierError,), "tripped, coil 3"),
     "encoder phi": ((DriveError,), "0x7305"),
@@ -59,9 +58,19 @@ EXPECTED: dict[str, tuple[tuple[type[DriverError], ...], str]] = {
 """Error of the host, and words in it, for each line that injects a fault."""
 UNHEARD = ("drop-setpoints", "bus-off", "disconnect")
 """Faults that stop everything that the host sends: only the device's own expiry ends the force."""
-NOT_REPORTED = {"push", "lift", "coil-force", "coil-gain", "coil-offset", "jam", "slow"}
+NOT_REPORTED = {
+    "push",
+    "lift",
+    "frozen",
+    "off",
+    "coil-force",
+    "coil-gain",
+    "coil-offset",
+    "jam",
+    "slow",
+}
 """A force on the platform, which control has to hold, a hand that lifts it, and faults that neither
-device nor driver detects: the control cycle compares command and reading."""
+device nor driver detects: the control cycle judges readings and compares them with commands."""
 
 RATE_HZ = 50.0
 MOST_CYCLES = 60

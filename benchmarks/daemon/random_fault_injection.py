@@ -217,8 +217,8 @@ def _size(name: str, least: float, most: float) -> Line:
     return lambda draw: f"{name} {draw.choice((-1, 1)) * draw.uniform(least, most):.3g}"
 
 
-_FROZEN_SHOWS = 20
-"""Equal readings after which the driver reports a frozen channel."""
+_FROZEN_SHOWS = 40
+"""Equal readings after which a frozen channel is a fault: 26 to 34, of 60 readings' noise."""
 _PUSH_SHOWS = 1
 """40 N move 7 kg on the rods beyond 0.85 mm in 17 ms; a cycle is 20 ms."""
 _TILT_SHOWS = 3

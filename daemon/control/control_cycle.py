@@ -147,7 +147,9 @@ class Controller:
         """Return the reading that caused `fault` as text; empty if no reading did."""
         gap, heat = np.abs(self.gap_m), self.heat
         if fault is Fault.GAP:
-            return f"{1e3 * gap.max():.3f} mm at sensor {gap.argmax()}"
+            repeats = self._sensors.repeats(int(gap.argmax()))
+            stood = f", which repeats its reading for {repeats} cycles" if repeats else ""
+            return f"{1e3 * gap.max():.3f} mm at sensor {gap.argmax()}{stood}"
         if fault is Fault.POSE:
             return f"psi {1e3 * self.pose[0]:.3f} mrad, theta {1e3 * self.pose[1]:.3f} mrad"
         if fault is Fault.VELOCITY:
@@ -296,7 +298,7 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     # A sensor at fault explains why the platform seems to leave its range.
     judged = memory[_MODE, 3] == 0.0 and state != _SELF_TEST
     judged = judged and fault in (0, _GAP, _VELOCITY, _POSE_FAULT)
-    if judged and check_sensors(gap, pose, stale, airborne, checks):
+    if judged and check_sensors(gap, pose, stale, checks):
         fault = _SENSOR
     active = in_control and fault == 0
     if active:

@@ -55,8 +55,9 @@ FAULTS: dict[Fault, FaultText] = {
         "levid clear, which resets the trip once its cause is removed",
     ),
     Fault.SENSOR: FaultText(
-        "a sensor channel has no reading, is stuck, or is at the end of its range",
-        "the sensor in the message, its cable and the ADC",
+        "a sensor has no reading, repeats its reading, is off the plane of the others "
+        "(limits.plane_m), jumps alone, or is at the end of its range",
+        "the sensor in the message, its fastening and cable; the ADC if several repeat",
     ),
     Fault.DRIVE: FaultText(
         "a manipulator drive failed, or does not follow its setpoints",

@@ -19,7 +19,6 @@ from .force_without_motion import (
     FORCE_FOUND,
     FORCE_HEAD,
     FORCE_SENSOR,
-    STEPS,
     ForceRule,
     note_force,
 )
@@ -27,6 +26,7 @@ from .plane_residual import averaging_cycles, off_plane, plane_text, residual_pr
 from .standing_readings import (
     LEAST_REPEATS,
     LEAST_ROWS,
+    LEAST_STEP,
     RestNoise,
     evidence_limit,
     rest_noise,
@@ -40,9 +40,10 @@ _GAIN_ERROR = 0.1
 
 # Scalars, then those of the force rule.
 (
-    _FOUND, _WHERE, _AMOUNT, _SINCE_ENGAGED, _EVIDENCE, _WEIGHT, _PLANE, _COARSE,
-) = range(8)  # fmt: skip
-_HEAD = 8 + FORCE_HEAD
+    _FOUND, _WHERE, _AMOUNT, _EVIDENCE, _WEIGHT, _PLANE, _COARSE,
+) = range(7)  # fmt: skip
+_FORCE_HEAD = 7
+_HEAD = _FORCE_HEAD + FORCE_HEAD
 # Of each sensor: newest reading, repeats, averaged residual; evidence of a repeat in nats, step,
 # variance, repeats before the motion of the others counts; one over its residual's share of its
 # error (0: not seen by the others); row of the shape matrix; pose since which it repeats.
@@ -82,7 +83,8 @@ class SensorChecks:
         self._projector = found.projector
         self._head[_EVIDENCE] = evidence_limit(count, self._rate_hz)
         self._head[_PLANE] = rig.plane_m
-        self._force = ForceRule(rig, period_s, self._head[8:], self._sensors[:, _FORCE])
+        self._force = ForceRule(rig, period_s, self._head[_FORCE_HEAD:], self._sensors[:, _FORCE])
+        self._least_step_m = LEAST_STEP * rig.limits.gap_m
         self._earlier: RestNoise | None = None
         self.forget()
 
@@ -105,7 +107,7 @@ class SensorChecks:
         self.forget()
         if len(rows) < LEAST_ROWS:
             return ""
-        noise, sensors = rest_noise(rows["gap_m"]), self._sensors
+        noise, sensors = rest_noise(rows["gap_m"], self._least_step_m), self._sensors
         if self._earlier is not None:
             expected = (len(rows) - 1) * -np.log(self._earlier.repeat)
             standing = np.flatnonzero(np.isinf(noise.step_m) & (expected > self._head[_EVIDENCE]))
@@ -121,7 +123,6 @@ class SensorChecks:
 
     def engage(self) -> None:
         """Note that control begins."""
-        self._head[_SINCE_ENGAGED] = 0.0
         self._force.begin()
 
     def text(self) -> str:
@@ -140,11 +141,15 @@ class SensorChecks:
             return f"sensor {where} jumped by {1e3 * amount:.3f} mm, the others did not"
         return ""
 
+    def repeats(self, sensor: int) -> int:
+        """Return for how many cycles a sensor has repeated its reading."""
+        return int(self._sensors[sensor, _REPEATS])
+
     def _begin(self) -> None:
         sensors = self._sensors
         sensors[:, _LAST] = math.nan
         sensors[:, _REPEATS] = sensors[:, _MEAN] = 0.0
-        self._head[:4] = 0.0
+        self._head[:3] = 0.0
         self._head[_COARSE] = 1.0
         self._force.begin()
 
@@ -167,7 +172,7 @@ def _named(standing: NDArray[np.intp], count: int) -> str:
 
 @njit(cache=True)
 def check_sensors(  # type: ignore[no-untyped-def]
-    gap, pose, stale, airborne, memory
+    gap, pose, stale, memory
 ) -> bool:
     """Check the readings of a cycle; return whether a sensor is at fault.
 
@@ -178,7 +183,6 @@ def check_sensors(  # type: ignore[no-untyped-def]
     n = gap.size
     head, end = memory[:_HEAD], _HEAD + n * _SENSOR
     sensors = memory[_HEAD:end].reshape(n, _SENSOR)
-    head[_SINCE_ENGAGED] += 1.0
     found, off = 0, False
     for j in range(n):
         own = sensors[j]
@@ -190,7 +194,7 @@ def check_sensors(  # type: ignore[no-untyped-def]
             own[11], own[12], own[13] = pose[0], pose[1], pose[2]
         else:
             own[_REPEATS] += 1.0
-            if _stands_still(j, gap, pose, airborne, head, sensors, memory[end:]):
+            if _stands_still(j, gap, pose, head, sensors, memory[end:]):
                 found = j + 1
         residual = gap[j] - (own[8] * pose[0] + own[9] * pose[1] + own[10] * pose[2])
         own[_MEAN] += head[_WEIGHT] * (residual - own[_MEAN])
@@ -200,8 +204,8 @@ def check_sensors(  # type: ignore[no-untyped-def]
         head[_AMOUNT] = sensors[found - 1, _REPEATS]
         return True
     if head[_COARSE] > 0.0:
-        at = int(head[8 + FORCE_FOUND]) - 1
-        head[8 + FORCE_FOUND] = 0.0
+        at = int(head[_FORCE_HEAD + FORCE_FOUND]) - 1
+        head[_FORCE_HEAD + FORCE_FOUND] = 0.0
         if at >= 0 and sensors[at, _REPEATS] > 0.0:
             head[_FOUND], head[_WHERE] = _WITHOUT_MOTION, at
             head[_AMOUNT] = sensors[at, _REPEATS]
@@ -216,17 +220,14 @@ def check_sensors(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _stands_still(  # type: ignore[no-untyped-def] # noqa: PLR0911 - one return a reason
-    j, gap, pose, airborne, head, sensors, projector
+def _stands_still(  # type: ignore[no-untyped-def]
+    j, gap, pose, head, sensors, projector
 ) -> bool:
     """Return whether the repeats of sensor j are a fault."""
     own = sensors[j]
     repeats = own[_REPEATS]
     if repeats * own[_NATS] > head[_EVIDENCE]:
         return True
-    if own[_NATS] == 0.0 and airborne and repeats >= head[_SINCE_ENGAGED] > LEAST_REPEATS:
-        # Not one step since before lift-off, and its height is another than at the working point.
-        return abs(own[_LAST]) > STEPS * (own[_STEP] if own[_STEP] < math.inf else 0.0)
     if repeats < own[_LEAST] or own[_SHARE] == 0.0:
         return False
     by_others = own[_SHARE]  # the pose follows from all readings, also from the one that stands
@@ -248,8 +249,8 @@ def _stands_still(  # type: ignore[no-untyped-def] # noqa: PLR0911 - one return 
             moved = min(moved, abs(change) * by_others)
         if change * change * other[_SHARE] > most:
             best, most = i, change * change * other[_SHARE]
-    if sensors[best, _REPEATS] < own[_LEAST]:
-        return False  # the wrong reading of another sensor has moved the plane
+    if best != j:  # another sensor stands or errs: its own repeats are judged
+        return False
     beyond = moved - tolerance - _GAIN_ERROR * by_others * largest
     if not beyond > 0.0:  # nan or infinite: a step is unknown
         return False
@@ -289,6 +290,6 @@ def note_command(  # type: ignore[no-untyped-def]
     if head[_COARSE] > 0.0:
         sensors = memory[_HEAD : _HEAD + n_sensors * _SENSOR].reshape(n_sensors, _SENSOR)
         note_force(
-            coil, coil_shape, planned, share, steady, head[8:], sensors[:, 14:],
+            coil, coil_shape, planned, share, steady, head[_FORCE_HEAD:], sensors[:, 14:],
             sensors[:, _REPEATS], sensors[:, _STEP],
         )  # fmt: skip

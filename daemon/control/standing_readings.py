@@ -37,6 +37,11 @@ LEAST_ROWS = 60
 """Fewest readings from which the noise is estimated."""
 MOST_ROWS = 500
 """Newest readings that are used."""
+COUNTED_NOISE = 0.4
+"""Noise over the step from which 200 readings show that repeats are rare."""
+LEAST_STEP = 1e-6
+"""Step over the gap limit below which changes are no noise: a simulated platform without noise
+comes to rest by ever smaller steps."""
 _SIGMAS = 3.1
 """Estimates of the noise are lower bounds with a confidence of 99.9 %."""
 _NATS = 0.5 * _SIGMAS**2
@@ -88,17 +93,20 @@ def repeat_probability(step_m: float, noise_m: float) -> float:
     return math.erf(step_m / (2.0 * math.sqrt(2.0) * noise_m)) if noise_m > 0.0 else 1.0
 
 
-def rest_noise(gap_m: Array) -> RestNoise:
-    """Measure the noise of readings (n, S) in m at zero force, of n >= LEAST_ROWS cycles."""
+def rest_noise(gap_m: Array, least_step_m: float) -> RestNoise:
+    """Measure the noise of readings (n, S) in m at zero force, of n >= LEAST_ROWS cycles.
+
+    Changes below half of `least_step_m` are none.
+    """
     newest = np.asarray(gap_m, float)[-MOST_ROWS:]
-    return RestNoise(*np.array([_of_channel(y) for y in newest.T]).T)
+    return RestNoise(*np.array([_of_channel(y, least_step_m) for y in newest.T]).T)
 
 
-def _of_channel(y: Array) -> tuple[float, float, float, float]:
+def _of_channel(y: Array, least_step_m: float) -> tuple[float, float, float, float]:
     levels = np.unique(y)
     if len(levels) == 1:
         return math.inf, 0.0, 1.0, 0.0
-    step = float(np.diff(levels).min())
+    step = max(float(np.diff(levels).min()), least_step_m)
     number = np.rint((y - levels[0]) / step)
     by_noise = repeat_probability(1.0, _least_noise(number))
     again = np.diff(y) == 0.0

@@ -55,6 +55,11 @@ class CanBackend(BusBackend):
         return has_no_hardware(_bus_of(context.rig, role))
 
     @classmethod
+    def gap_step_m(cls, context: Context, options: dict[str, Any]) -> float | None:  # noqa: ARG003
+        """Return the step of the DBC's readings in m."""
+        return _frames(context, _bus_of(context.rig, "sensors")).gap.unit
+
+    @classmethod
     def missing(cls, context: Context, role: str, options: dict[str, Any]) -> str:  # noqa: ARG003
         """Return why the bus's network interface cannot be used, and what to do."""
         return network_problem(_bus_of(context.rig, role))

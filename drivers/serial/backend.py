@@ -71,6 +71,11 @@ class SerialBackend(BusBackend):
         """Return why the port cannot be used, and what to do."""
         return port_problem(_port(context.rig, role))
 
+    @classmethod
+    def gap_step_m(cls, context: Context, options: dict[str, Any]) -> float | None:  # noqa: ARG003
+        """Return the step of the protocol in m."""
+        return GAP_M
+
     def __init__(self, context: Context, roles: dict[str, dict[str, Any]]) -> None:
         """Open the ports, compare limits with the devices, enable the drives."""
         rig = context.rig

@@ -53,6 +53,7 @@ class Injected:
 
     stuck: set[int] = field(default_factory=set)
     frozen: set[int] = field(default_factory=set)
+    off_m: dict[int, float] = field(default_factory=dict)
     saturated: set[int] = field(default_factory=set)
     lost_axes: set[int] = field(default_factory=set)
     skew_m: float = 0.0
@@ -382,6 +383,8 @@ class Core:
                     self.force_n[i] = math.nan
         for i in injected.saturated:
             gap[i] = math.copysign(self._range_m, gap[i])
+        for i, error_m in injected.off_m.items():
+            gap[i] += error_m
         for i in injected.frozen:
             gap[i] = self._held_m[i]
         self._held_m[:] = gap

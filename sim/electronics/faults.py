@@ -20,7 +20,7 @@ class InjectionError(Exception):
 
 @dataclass(frozen=True)
 class FaultKind:
-    """Effect of a fault, and its argument: none, a channel, an axis or a number."""
+    """Effect of a fault, and its argument: none, a channel, an axis or a number; or two of them."""
 
     does: str
     argument: str = ""
@@ -39,8 +39,10 @@ FAULTS: dict[str, FaultKind] = {
     "disconnect": FaultKind("the port is closed, or the devices leave the CAN bus"),
     "stuck": FaultKind("a sensor channel is stuck, detected by the ADC's self-test", "channel"),
     "frozen": FaultKind(
-        "a sensor channel repeats its reading, not detected by the self-test", "channel"
+        "a sensor channel repeats its reading, or all do, not detected by the ADC's self-test",
+        "channel",
     ),
+    "off": FaultKind("a sensor reads too high by a distance", "channel metres"),
     "saturated": FaultKind("a sensor channel reads the end of its range", "channel"),
     "trip": FaultKind("a coil's amplifier trips", "channel"),
     "coil-force": FaultKind("an amplifier drives this force in N, whatever is set", "coil=number"),
@@ -76,20 +78,24 @@ class Injector:
         kind = FAULTS.get(name)
         if kind is None:
             raise InjectionError(f"expected clear or one of {', '.join(FAULTS)}, found '{name}'")
-        if bool(arguments) != bool(kind.argument) or len(arguments) > 1:
+        if len(arguments) != len(kind.argument.split()):
             raise InjectionError(f"{name}: expected {kind.argument or 'no argument'}")
         injected = self._core.injected
         with self._core.lock:
             match kind.argument:
+                case "channel metres":
+                    channel = _channel(name, arguments[0], self._core.sensors)
+                    injected.off_m[channel] = _number(name, arguments[1])
                 case "channel":
                     count = self._core.coils if name == "trip" else self._core.sensors
-                    channel = _channel(name, arguments[0], count)
+                    whole = (name, *arguments) == ("frozen", "all")
+                    channels = range(count) if whole else [_channel(name, arguments[0], count)]
                     {
                         "stuck": injected.stuck,
                         "frozen": injected.frozen,
                         "saturated": injected.saturated,
                         "trip": injected.tripping,
-                    }[name].add(channel)
+                    }[name].update(channels)
                 case "axis":
                     axis = _one_of(name, arguments[0], AXES)
                     if name == "encoder":
@@ -116,7 +122,7 @@ class Injector:
             self.wire.clear()
             injected = self._core.injected
             for channels in (
-                injected.stuck, injected.frozen, injected.saturated,
+                injected.stuck, injected.frozen, injected.saturated, injected.off_m,
                 injected.tripping, injected.lost_axes,
             ):  # fmt: skip
                 channels.clear()

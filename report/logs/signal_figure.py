@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from ...log.errors import LogError
 from ..plotting.atomic_write import replace_text
-from ..plotting.figure_to_svg import to_svg
+from ..plotting.figure_to_svg import svg_of
 from ..plotting.min_max_envelope import plot_envelope
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import (
@@ -137,7 +137,7 @@ def save_figure(figure: Figure, path: Path, *, sheet: Sheet = PAGE) -> None:
     check_format(path)
     suffix = path.suffix.lower()
     if suffix == ".svg":
-        replace_text(path, to_svg(figure, sheet))
+        replace_text(path, svg_of(figure, sheet))
         return
     part = path.with_name(f".{path.name}.part")
     try:

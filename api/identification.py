@@ -181,8 +181,6 @@ class Identification:
         Raises:
             ConfigError: the folder cannot be written.
         """
-        from ..report.identification.identification_page import identification_report
-        from ..report.session.flight_data import read_session
         from .session import first_flight
 
         out, found = Path(folder), self._found
@@ -190,6 +188,10 @@ class Identification:
             # Save the model first: the results of a long fit survive an error in the report.
             if found.grey is not None:
                 self.model.save(out / "model.yaml")
+            save_result(out, self.to_json())
+            from ..report.identification.identification_page import identification_report
+            from ..report.session.flight_data import read_session
+
             self._page = identification_report(
                 found.points,
                 read_session(first_flight(self._session.logs)) if self._flown else None,

@@ -12,6 +12,7 @@ from .excite import fly_here
 from .identify import identify_logs, words
 from .path_types import FOLDER
 from .progress import progress, say
+from .report_errors import exit_code_of_report, report_or_error
 from .trace import trace_logs
 from .trace import words as trace_words
 
@@ -39,16 +40,22 @@ def command(out: Path | None) -> int:
       levid demo --out out/mine
     """
     from ..config.shipped import shipped
-    from ..report.session.session_page import session_report
 
     begin = time.perf_counter()
     folder = out or _next_unused_folder()
     white_noise = _fly("sessions/white-noise-1khz.yaml", folder / "white-noise")
     moving_beam = _fly("sessions/beam.yaml", folder / "beam")
+
+    def draw() -> None:
+        from ..report.session.session_page import session_report
+
+        page = session_report(moving_beam.logs, folder / "beam" / "report")
+        say(f"report on the moving beam: {page}")
+
     with progress("drawing the moving beam"):
-        beam_page = session_report(moving_beam.logs, folder / "beam" / "report")
+        undrawn = report_or_error(draw)
     # The report draws the true response for comparison; identification reads the logs only.
-    found = identify_logs(
+    found, no_page = identify_logs(
         [*white_noise.logs, *moving_beam.logs],
         None,
         shipped("sims/nominal.yaml"),
@@ -57,14 +64,14 @@ def command(out: Path | None) -> int:
     for line in words(found):
         click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
-    click.echo(f"report on the moving beam: {beam_page}")
-    click.echo(f"report: {found.page}")
-    _trace(folder / "trace")
-    return 0
+    if found.page is not None:
+        click.echo(f"report: {found.page}")
+    codes = [exit_code_of_report(error) for error in (undrawn, no_page)]
+    return max(_trace(folder / "trace"), *codes)
 
 
-def _trace(folder: Path) -> None:
-    """Fly a plant with effects that the model lacks, and trace them."""
+def _trace(folder: Path) -> int:
+    """Fly a plant with effects that the model lacks, and trace them; return the exit code."""
     from ..config.shipped import shipped
 
     begin = time.perf_counter()
@@ -74,9 +81,9 @@ def _trace(folder: Path) -> None:
     for line in trace_words(traced.found):
         click.echo(line)
     click.echo(f"took {time.perf_counter() - begin:.0f} s")
-    if traced.undrawn is not None:
-        raise traced.undrawn
-    click.echo(f"report: {traced.found.page}")
+    if traced.found.page is not None:
+        click.echo(f"report: {traced.found.page}")
+    return exit_code_of_report(traced.undrawn)
 
 
 def _fly(name: str, out: Path, sim: Path | None = None) -> FlightResult:

@@ -14,6 +14,7 @@ from .full_option import full_option
 from .output_folder_check import logs_in, naming_out, quoted
 from .path_types import FOLDER, RIG, SESSION, SIM
 from .progress import progress, say
+from .report_errors import exit_code_of_report, report_or_error
 
 if TYPE_CHECKING:
     from ..config.session import SessionConfig
@@ -200,7 +201,6 @@ def _on_daemon(
 def _after_landing(config: SessionConfig, result: FlightResult, out: Path, full: bool) -> int:
     """Run the session's `then` commands or draw the flight; return the exit code."""
     from ..daemon.recording.post_processing import HandoverError, hand_over
-    from ..report.session.session_page import session_report
 
     excited = any(step.record is not None and step.record.excite for step in config.steps)
     next_command = f"levid identify {logs_in(out)} --out {quoted(out / 'identification')}"
@@ -221,10 +221,18 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path, full:
                 say(f"to repeat it: levid {again}")
                 failed.append(verb)
         return 1 if failed else 0
-    with progress("drawing the flight") as report:
-        report("", 0.5)
-        page = session_report(result.logs, out / "report", full=full)
-    say(f"report: {page}")
+    pages = []
+
+    def draw() -> None:
+        from ..report.session.session_page import session_report
+
+        with progress("drawing the flight") as report:
+            report("", 0.5)
+            pages.append(session_report(result.logs, out / "report", full=full))
+
+    undrawn = report_or_error(draw)
+    for page in pages:
+        say(f"report: {page}")
     if excited:
         say(f"next: {next_command}")
-    return 0
+    return exit_code_of_report(undrawn)

@@ -15,6 +15,7 @@ from .full_option import full_option
 from .output_folder_check import claimed_folder, naming_options, older_results, repeated
 from .path_types import FOLDER, LOG, MODEL, SIM
 from .progress import progress, say
+from .report_errors import exit_code_of_report, report_or_error
 
 if TYPE_CHECKING:
     from ..api.identification import Identification
@@ -92,18 +93,19 @@ def command(
 
     began = time.time()
     with all_samples(full):
-        found = identify_logs(logs, model, truth, out, order, impulse_s, markov)
+        found, undrawn = identify_logs(logs, model, truth, out, order, impulse_s, markov)
     if mat:
         found.write_mat(out)
     for old in older_results(out, _RESULTS, began):
         say(f"warning: {old} is from an earlier run; this run has no such result")
     if as_json:
         click.echo(json.dumps(found.to_json()))
-        return 0
+        return exit_code_of_report(undrawn)
     for line in words(found):
         click.echo(line)
-    click.echo(f"report: {found.page}")
-    return 0
+    if found.page is not None:
+        click.echo(f"report: {found.page}")
+    return exit_code_of_report(undrawn)
 
 
 def identify_logs(
@@ -114,8 +116,10 @@ def identify_logs(
     order: int | None = None,
     impulse_s: float | None = None,
     markov: str = "least_squares",
-) -> Identification:
+) -> tuple[Identification, Exception | None]:
     """Identify the plant from logs and write the report and model.yaml to `out`.
+
+    Returns the results, and the error if the report could not be written.
 
     Remarks that are known before the fits are printed on stderr at once.
 
@@ -144,8 +148,9 @@ def identify_logs(
         given["impulse_s"] = impulse_s
         if markov != "least_squares":
             given["markov"] = markov
-        found.report(out, repeated("identify", logs, out, **given))
-    return found
+        command = repeated("identify", logs, out, **given)
+        undrawn = report_or_error(lambda: found.report(out, command))
+    return found, undrawn
 
 
 def words(identified: Identification) -> list[str]:
@@ -187,7 +192,7 @@ def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
 
     p-values are multiplied by the number of tests (Bonferroni), as in the report.
     """
-    from ..report.identification.multisine import SIGNIFICANT
+    from ..report.identification.significance import SIGNIFICANT
 
     def least(test: str) -> list[float]:
         found = [[p for p in b["tests"][test]["p_value"] if p is not None] for b in blas]

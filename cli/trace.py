@@ -16,6 +16,7 @@ from .full_option import full_option
 from .output_folder_check import claimed_folder, naming_options, quoted, repeated, same_logs
 from .path_types import FOLDER, LOG, MODEL
 from .progress import progress, say
+from .report_errors import exit_code_of_report, report_or_error
 
 if TYPE_CHECKING:
     from ..api.trace import Trace
@@ -85,10 +86,7 @@ def command(
         click.echo(json.dumps(found.to_json()))
     else:
         _print(found, logs, out)
-    if traced.undrawn is not None:
-        say("the report could not be written:")
-        raise traced.undrawn
-    return 0
+    return exit_code_of_report(traced.undrawn)
 
 
 def _print(found: Trace, logs: Sequence[Path], out: Path) -> None:
@@ -140,11 +138,8 @@ def trace_logs(
             say,
         )
         report("report", 0.95)
-        try:
-            found.report(out, repeated("trace", logs, out, model=model))
-        except Exception as error:  # noqa: BLE001 - raised after the results are printed
-            return Traced(found, error)
-    return Traced(found)
+        command = repeated("trace", logs, out, model=model)
+        return Traced(found, report_or_error(lambda: found.report(out, command)))
 
 
 def words(found: Trace) -> list[str]:

@@ -33,11 +33,10 @@ from ..plotting.labelled_frequency_responses import (
 from ..plotting.number_format import chance
 from ..plotting.style import TRUTH, line_of, position_label, signed
 from .closed_loop import TRUTH_NAME, Truth
+from .significance import SIGNIFICANT
 
 Array = NDArray[np.float64]
 
-SIGNIFICANT = 0.01
-"""Overall p-value of all tests of one kind below which distortion is significant."""
 _TRUTH_POINTS = 240
 _LINES_DRAWN = 140
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from ...config.files.atomic_write import atomic_file, write_file
 from ...log.errors import LogError
-from ..plotting.figure_to_svg import escape_texts, to_svg
+from ..plotting.figure_to_svg import escape_texts, svg_of
 from ..plotting.min_max_envelope import plot_envelope
 from ..plotting.panel_grid import entry, new_grid
 from ..plotting.style import (
@@ -137,7 +137,7 @@ def save_figure(figure: Figure, path: Path, *, sheet: Sheet = PAGE) -> None:
     check_format(path)
     suffix = path.suffix.lower()
     if suffix == ".svg":
-        write_file(path, to_svg(figure, sheet))
+        write_file(path, svg_of(figure, sheet))
         return
     with atomic_file(path) as file, drawing(sheet):
         escape_texts(figure)

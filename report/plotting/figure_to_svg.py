@@ -20,6 +20,8 @@ class Svg(str):
     """SVG text of a figure; `chart` is its interactive form, None if it has none."""
 
     chart: Chart | None = None
+    undrawn: str = ""
+    """Why the figure could not be drawn; the SVG then says so."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +56,33 @@ class Picture:
         return f'<svg role="img" aria-label="{label}"{body.removeprefix("<svg")}'
 
 
+_UNDRAWN = (
+    '<svg xmlns="http://www.w3.org/2000/svg" width="600pt" height="30pt" viewBox="0 0 600 30">'
+    '<text x="4" y="18" font-size="9" fill="#1d2126">{}</text></svg>\n'
+)
+_LONGEST = 200
 _ROLES = {colour.light: colour.role for colour in COLOURS}
 
 
 def to_svg(figure: Figure, sheet: Sheet = PAGE) -> Svg:
+    """Return what `svg_of` does; if that fails, an SVG with the reason in place of the figure.
+
+    A page is written with all others: fonts, folders and packages of figures fail on some machines,
+    and results do not depend on them.
+    """
+    try:
+        return svg_of(figure, sheet)
+    except Exception as error:  # noqa: BLE001 - matplotlib raises whatever its parts do
+        reason = f"{type(error).__name__}: {error}"
+    svg = Svg(_UNDRAWN.format(html_text(f"This figure could not be drawn: {reason}"[:_LONGEST])))
+    svg.undrawn = reason
+    return svg
+
+
+def svg_of(figure: Figure, sheet: Sheet = PAGE) -> Svg:
     """Return a figure as an SVG file's text, without date, and with coordinates to 0.1 points.
 
-    Its `chart` is derived from the same lines, bands and marks.
+    Its `chart` is derived from the same lines, bands and marks. Raises any error of matplotlib.
     """
     with drawing(sheet):
         buffer = io.StringIO()

@@ -24,9 +24,10 @@ from ...config.files.atomic_write import write_file
 from ...config.files.folders import make_folder
 from ...config.version import __version__
 from .chart_encoding import encode_charts
-from .figure_to_svg import Picture
+from .figure_to_svg import Picture, Svg
 from .min_max_bins import embeds_all_samples
 from .style import COLOURS
+from .undrawn_figures import undrawn_figures
 
 MOST_BYTES = 1_500_000
 """Largest page without `all_samples`, if its static part and its shortest charts permit."""
@@ -123,6 +124,11 @@ def write_report(out_dir: Path, title: str, sections: Sequence[Section]) -> Path
     figures = out_dir / "figures"
     make_folder(figures)
     text = render(title, sections)
+    undrawn_figures.extend(
+        f"{figures / picture.name}.svg: {picture.svg.undrawn}"
+        for picture in pictures
+        if isinstance(picture.svg, Svg) and picture.svg.undrawn
+    )
     for picture in pictures:
         write_file(figures / f"{picture.name}.svg", picture.svg)
     page = out_dir / "index.html"

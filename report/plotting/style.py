@@ -152,8 +152,25 @@ PAPER = Sheet(width_in=7.16, font_pt=8.0, line=0.8)  # both columns of a two-col
 @contextmanager
 def drawing(sheet: Sheet = PAGE) -> Iterator[None]:
     """Apply this style while the `with` body runs, without pyplot's global state."""
-    with mpl.rc_context(_rc(sheet)):
+    with mpl.rc_context({**_changed_defaults(), **_rc(sheet)}):
         yield
+
+
+def _changed_defaults() -> dict[Any, Any]:
+    """Return the defaults of what the user's matplotlibrc changed, such as `text.usetex`."""
+    now = dict.items(mpl.rcParams)  # without resolving the backend
+    default = mpl.rcParamsDefault
+    return {
+        name: dict.__getitem__(default, name)
+        for name, value in now
+        if name in default
+        and not name.startswith(_NOT_DRAWN)
+        and value != dict.__getitem__(default, name)
+    }
+
+
+_NOT_DRAWN = ("backend", "interactive", "toolbar", "webagg", "tk.", "macosx", "figure.raise_window")
+"""Settings of windows, which belong to the user's own figures."""
 
 
 def new_figure(sheet: Sheet, height_in: float) -> Figure:

@@ -11,6 +11,7 @@ import json
 import os
 import pwd
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -97,7 +98,12 @@ def install() -> None:
     run("systemctl", "daemon-reload")
     run("systemctl", "enable", "systemd-networkd", "levid")  # for the day when its power is cut
     until(Path("/sys/class/net/vcan0").exists, "networkd makes vcan0")
-    run("chown", "-R", "levid:levid", "/var/cache/levid")
+    cache, user = Path("/var/cache/levid/levid"), pwd.getpwnam("levid").pw_uid
+    shutil.copytree(cache / "compiled-0", cache / f"compiled-{user}")
+    for path in (cache.parent, cache, cache / f"compiled-{user}"):
+        shutil.chown(path, "levid", "levid")
+    for path in (cache / f"compiled-{user}").iterdir():
+        shutil.chown(path, "levid", "levid")
     judged = run("systemd-analyze", "security", "--no-pager", "levid").strip().splitlines()[-1]
     say(judged)
     level = re.search(r"levid\.service: (\d+\.\d+)", judged)

@@ -335,3 +335,16 @@ def test_the_service_may_write_the_logs_where_the_rig_wants_them() -> None:
         other = found.model_copy(update={"recording": recording})
         drop_in = service_files(other, RIG_FILE, PROGRAM)[DROP_IN].splitlines()
         assert [line for line in drop_in if line.startswith("ReadWritePaths")] == written
+
+
+def test_group_members_cannot_decide_what_the_daemon_executes() -> None:
+    """Members write to the state folder: nothing that is executed may come from there."""
+    unit = shipped("levid.service").read_text().splitlines()
+    keys = dict(line.split("=", 1) for line in unit if "=" in line and not line.startswith("#"))
+    variables = dict(pair.split("=", 1) for pair in keys["Environment"].split())
+    assert keys["UMask"] == "0007"
+    assert keys["CacheDirectoryMode"] == "0700"
+    private = f"/var/cache/{keys['CacheDirectory']}"
+    assert variables["NUMBA_CACHE_DIR"] == variables["HOME"] == private
+    assert variables["PYTHONSAFEPATH"] == variables["PYTHONNOUSERSITE"] == "1"
+    assert "WorkingDirectory" not in keys  # which is /

@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from .error_messages import dotted, mistakes, quoted, shortened
+from .files.reading import kind_of
 
 M = TypeVar("M", bound="Strict")
 _Path: TypeAlias = "tuple[_Path, Any] | None"
@@ -147,7 +148,7 @@ def check_limits(data: object, where: str) -> None:
 
 def parse_text(text: str | bytes, model: type[M], where: str) -> M:
     """Parse YAML `text`, such as an attachment of a log, as `model`; raises ConfigError."""
-    return parse(_mapping(text, where), model, where)
+    return parse(mapping_of(text, where), model, where)
 
 
 def read_mapping(path: Path | str) -> dict[str, Any]:
@@ -163,10 +164,13 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
             "without an end"
         ) from None
     except OSError as error:
+        found = kind_of(path)
+        if found in ("a folder", "a socket", "a device"):
+            raise ConfigError(f"{path}: expected a file, found {found}") from None
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:  # an invalid file name
         raise ConfigError(f"{str(path)!r}: cannot be read: {error}") from None
-    return _mapping(text, str(path))
+    return mapping_of(text, str(path))
 
 
 def _text(path: Path) -> bytes:
@@ -186,7 +190,8 @@ def _text(path: Path) -> bytes:
     return text
 
 
-def _mapping(text: str | bytes, where: str) -> dict[str, Any]:
+def mapping_of(text: str | bytes, where: str) -> dict[str, Any]:
+    """Return the top-level mapping of YAML `text`; raises ConfigError."""
     if len(text) > MOST_BYTES:
         raise ConfigError(f"{where}: expected a file of at most {MOST_BYTES >> 10} KiB, found more")
     try:

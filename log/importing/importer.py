@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.base import load_yaml
+from ...config.files.reading import kind_of
 from ..errors import LogError
 from ..writer import LogWriter, new_log_file
 from .array_variables import load_npz, read_variables
@@ -162,7 +163,7 @@ def file_format(path: Path, stated: Format | None = None) -> Format:
             "for another suffix set format: csv, text, npz or mat in the signals file"
         )
     if not path.is_file():
-        raise LogError(f"{path}: expected a file, found {'a folder' if path.exists() else 'none'}")
+        raise LogError(f"{path}: expected a file, found {kind_of(path)}")
     return kind
 
 

@@ -79,8 +79,9 @@ def command(
             found, usable = _check(path, rig_path), True
             if not as_json:
                 click.echo(f"{path}: {found}")
-        except (ConfigError, LogError) as error:
-            found, usable = str(error), False
+        except (ConfigError, LogError, OSError) as error:
+            named = isinstance(error, OSError)
+            found, usable = f"{path}: {error.strerror or error}" if named else str(error), False
             if not as_json:
                 click.echo(found, err=True)
         results.append({"file": str(path), "usable": usable, "found": found})

@@ -60,6 +60,7 @@ def command(
     In CSV and Parquet each element of an array is a column (gap_m_0, gap_m_1, ...); in MAT and NPZ
     arrays stay arrays. A CSV file gets a FILE.signals.yaml beside it, with the units, which `levid
     import` reads. Logs of any length need little memory. Parquet needs: pip install 'levid[data]'.
+    A log that cannot be exported is named, and the others are exported; the exit code is then 1.
 
     \b
     Examples:
@@ -68,19 +69,26 @@ def command(
       levid export out/first/*.mcap --format parquet -o out/first/tables
       levid export out/first/02-psi.mcap -o slow.csv --begin-s 10 --end-s 60 --every 10
     """
+    from ..log.errors import LogError
     from ..log.exporting.export_log import ExportOptions, export_log
 
     names = tuple(name.strip() for name in (columns or "").split(",") if name.strip())
     options = ExportOptions(names, begin_s, end_s, every, overwrite)
+    failed = False
     with progress("exporting") as report:
         for number, (log, path, form) in enumerate(_targets(logs, out, kind)):
             report(log.name, number / len(logs))
-            found = export_log(log, path, options, form)  # type: ignore[arg-type]
+            try:
+                found = export_log(log, path, options, form)  # type: ignore[arg-type]
+            except LogError as error:
+                failed = True
+                say(f"error: {error}")
+                continue
             flat = sum(len(c.flat_names) for c in found.columns)
             click.echo(f"{found.path}: {found.rows} rows, {flat} columns")
             for note in found.notes:
                 say(f"note: {note}")
-    return 0
+    return 1 if failed else 0
 
 
 def _targets(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .path_types import LOG
-from .progress import progress
+from .progress import progress, say
 from .text_table import text_table
 
 if TYPE_CHECKING:
@@ -29,7 +29,8 @@ def command(paths: tuple[Path, ...], columns: bool, as_json: bool) -> int:
     """Describe PATHS: logs, folders of logs, or results of identify and trace.
 
     Shows rig, session, date, rate, length, records and versions; and what went wrong: faults,
-    skipped cycles, coils at a limit, logs that are cut off. Exits with 1 if a log is incomplete.
+    skipped cycles, coils at a limit, logs that are cut off. A path that cannot be read is named,
+    and the others are described. Exits with 1 if a log is incomplete or a path cannot be read.
 
     \b
     Examples:
@@ -38,18 +39,23 @@ def command(paths: tuple[Path, ...], columns: bool, as_json: bool) -> int:
       levid info out/first/identification
       levid info out/first --json
     """
+    from ..log.errors import LogError
     from ..log.log_summary import summarise_log
 
-    logs, results = _contents(paths)
+    logs, results, errors = _contents(paths)
     found = []
     with progress("reading") as report:
         for number, path in enumerate(logs):
             report(path.name, number / len(logs))
-            found.append(summarise_log(path))
+            try:
+                found.append(summarise_log(path))
+            except (LogError, OSError) as error:
+                errors.append((path, str(error)))
     if as_json:
         plain = {
             "logs": [_plain(log) for log in found],
             "results": [result.plain() for result in results],
+            "errors": [{"path": str(path), "error": text} for path, text in errors],
         }
         click.echo(json.dumps(plain))
     else:
@@ -58,31 +64,41 @@ def command(paths: tuple[Path, ...], columns: bool, as_json: bool) -> int:
             lines += ([""] if lines and part else []) + part
         for line in lines:
             click.echo(line)
-    return 1 if any(log.problem for log in found) else 0
+    for _, text in errors:
+        say(f"error: {text}")
+    return 1 if errors or any(log.problem for log in found) else 0
 
 
-def _contents(paths: Sequence[Path]) -> tuple[list[Path], list[ResultSummary]]:
-    """Return the logs and results that the paths name; raises ConfigError if a path has neither."""
-    from ..config.base import ConfigError
+def _contents(
+    paths: Sequence[Path],
+) -> tuple[list[Path], list[ResultSummary], list[tuple[Path, str]]]:
+    """Return the logs and results that the paths name, and the errors of paths with neither."""
     from ..log.catalogue.results import read_result
 
     logs: list[Path] = []
-    results = []
+    results: list[ResultSummary] = []
+    errors: list[tuple[Path, str]] = []
     for path in paths:
         if not path.is_dir():
             logs.append(path)
             continue
-        inside = sorted(path.glob("*.mcap"))
-        beside = [read_result(f) for f in (path, *sorted(path.iterdir())) if f.is_dir()]
+        try:
+            inside = sorted(path.iterdir())
+        except OSError as error:
+            errors.append((path, f"{path}: {error.strerror}"))
+            continue
+        own = [file for file in inside if file.suffix == ".mcap"]
+        beside = [read_result(f) for f in (path, *inside) if f.is_dir()]
         known = [result for result in beside if result is not None]
-        if not inside and not known:
-            raise ConfigError(
+        if not own and not known:
+            text = (
                 f"{path}: expected logs (*.mcap) or a result of identify or trace, found neither; "
                 "`levid list` searches folders inside"
             )
-        logs += inside
+            errors.append((path, text))
+        logs += own
         results += known
-    return logs, results
+    return logs, results, errors
 
 
 def _result_lines(result: ResultSummary) -> list[str]:

@@ -58,7 +58,7 @@ def command(
         found = "a file" if folder.exists() else "none"
         raise ConfigError(f"{folder}: expected a folder with flights in it, found {found}")
     with progress("reading") as report:
-        runs = update_catalogue(folder, report)
+        runs = update_catalogue(folder, report, _say_unreadable)
     if parquet:
         from ..log.catalogue.parquet_table import write_catalogue_parquet
 
@@ -74,6 +74,10 @@ def command(
     if not shown:
         say(f"{folder}: no flights" + (f" of these, {len(runs)} others" if runs else ""))
     return 0
+
+
+def _say_unreadable(error: OSError) -> None:
+    say(f"note: {error.filename}: not searched: {error.strerror}")
 
 
 def _wanted(run: Run, rig: str | None, session: str | None, since: datetime | None) -> bool:

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 
 from .error_messages import dotted, mistakes, quoted, shortened
 from .escaping import steering_character
+from .files.reading import kind_of
 from .shipped import KINDS, not_found
 
 M = TypeVar("M", bound="Strict")
@@ -188,7 +189,7 @@ def check_limits(data: object, where: str) -> None:
 
 def parse_text(text: str | bytes, model: type[M], where: str) -> M:
     """Parse YAML `text`, such as an attachment of a log, as `model`; raises ConfigError."""
-    return parse(_mapping(text, where), model, where)
+    return parse(mapping_of(text, where), model, where)
 
 
 def read_mapping(path: Path | str, *kinds: str) -> dict[str, Any]:
@@ -209,10 +210,13 @@ def read_mapping(path: Path | str, *kinds: str) -> dict[str, Any]:
         hint = not_found(path, *kinds)
         raise ConfigError(f"{path}: cannot be read: {error.strerror}{hint}") from None
     except OSError as error:
+        found = kind_of(path)
+        if found in ("a folder", "a socket", "a device"):
+            raise ConfigError(f"{path}: expected a file, found {found}") from None
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:  # an invalid file name
         raise ConfigError(f"{str(path)!r}: cannot be read: {error}") from None
-    return _mapping(text, str(path))
+    return mapping_of(text, str(path))
 
 
 def _text(path: Path) -> bytes:
@@ -232,7 +236,8 @@ def _text(path: Path) -> bytes:
     return text
 
 
-def _mapping(text: str | bytes, where: str) -> dict[str, Any]:
+def mapping_of(text: str | bytes, where: str) -> dict[str, Any]:
+    """Return the top-level mapping of YAML `text`; raises ConfigError."""
     if len(text) > MOST_BYTES:
         raise ConfigError(f"{where}: expected a file of at most {MOST_BYTES >> 10} KiB, found more")
     try:

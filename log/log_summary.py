@@ -7,8 +7,8 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-import yaml
 
+from ..config.base import ConfigError, mapping_of
 from .exporting.columns import Column, chosen_columns
 from .exporting.export_log import time_of
 from .log_facts import file_date, flight_date, is_virtual, rig_name, versions
@@ -132,7 +132,7 @@ def summarise_log(path: Path | str) -> LogSummary:
 def _coil_limit_n(log: LogStream) -> float | None:
     """Return the force limit of a coil in N in the attached rig, None if it is not known."""
     try:
-        rig = yaml.safe_load(log.attachments.get("rig.yaml", b""))
+        rig = mapping_of(log.attachments.get("rig.yaml", b""), "rig.yaml")
         return float(rig["limits"]["coil_n"])
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, TypeError, KeyError, ValueError):
+    except (ConfigError, TypeError, KeyError, ValueError, OverflowError):
         return None

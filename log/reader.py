@@ -17,6 +17,7 @@ from mcap.records import Channel, Chunk
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from numpy.typing import NDArray
 
+from ..config.files.reading import open_file
 from .errors import LogError
 from .mcap_scan import MAX_CHUNK_BYTES, Contents, Decompressor, scan
 from .message_array import CDR_LE, MessageLayout, byte_order
@@ -80,14 +81,13 @@ def mapped(path: Path) -> memoryview:
     try:
         if path.is_dir():
             raise LogError("expected a log, found a folder: give the logs in it, as FOLDER/*.mcap")
-        if path.exists() and not path.is_file():
-            raise LogError("expected a file, found something else")
-        with path.open("rb") as file:
+        with open_file(path) as file:
             if os.fstat(file.fileno()).st_size == 0:
                 return memoryview(b"")
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror or error}") from None
+        known = "" if (error.strerror or "").startswith("expected") else "cannot be read: "
+        raise LogError(f"{known}{error.strerror or error}") from None
 
 
 def _read(path: Path, data: memoryview) -> Log:

@@ -134,9 +134,7 @@ class Server:
     def set_access(self, access: Access) -> None:
         """Apply `access` to new connections."""
         self.access = access
-        if self._listener.in_place:
-            with contextlib.suppress(OSError):
-                self._path.chmod(access.mode)
+        self._listener.set_mode(access.mode)
 
     def adopt(self, end: socket.socket, role: Role) -> Callable[[], float | None]:
         """Serve a connected socket as a client with this role; call from any thread.

@@ -6,7 +6,6 @@ import contextlib
 import fcntl
 import os
 import socket
-import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -55,9 +54,9 @@ class UnixListener:
             with _folder_lock(path.parent):
                 self._remove_abandoned()
                 listener.bind(str(path))
-                _set_mode(path, mode)
-                listener.listen(WAITING_CLIENTS)
                 self._inode = _inode_of(path)
+                self.set_mode(mode)
+                listener.listen(WAITING_CLIENTS)
         except FileNotFoundError:
             listener.close()
             raise
@@ -69,6 +68,17 @@ class UnixListener:
             raise
         listener.setblocking(False)
         return listener
+
+    def set_mode(self, mode: int) -> None:
+        """Set the mode of the socket, and of no file to which somebody links its path meanwhile."""
+        with contextlib.suppress(OSError):
+            handle = os.open(self._path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
+            try:
+                status = os.fstat(handle)
+                if (status.st_dev, status.st_ino) == self._inode:
+                    Path(f"/proc/self/fd/{handle}").chmod(mode)
+            finally:
+                os.close(handle)
 
     def close(self) -> None:
         """Remove the path unless it is another socket's by now; does not close the socket."""
@@ -85,16 +95,6 @@ class UnixListener:
         if listens(path):
             raise ServerError(f"{path}: another daemon already uses this socket")
         path.unlink()
-
-
-def _set_mode(path: Path, mode: int) -> None:
-    """Set the mode of a socket, of no file to which somebody links its path meanwhile."""
-    handle = os.open(path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
-    try:
-        if stat.S_ISSOCK(os.fstat(handle).st_mode):
-            Path(f"/proc/self/fd/{handle}").chmod(mode)
-    finally:
-        os.close(handle)
 
 
 def _inode_of(path: Path) -> tuple[int, int] | None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...config.files.atomic_write import write_file
 from ...config.files.folders import make_folder
+from ...config.files.reading import read_json
 from ...config.rig import RigConfig
 
 INTERVAL_S = 5.0
@@ -98,8 +99,7 @@ class HeatFile:
         return True
 
     def _load(self) -> NDArray[np.float64]:
-        with self._path.open("rb") as file:
-            found: dict[str, Any] = json.loads(file.read(_MAX_BYTES))
+        found: dict[str, Any] = read_json(self._path, _MAX_BYTES)
         heat = np.array(found["heat_n2"], dtype=np.float64)
         max_n2 = (2.0 * self._limits.coil_n) ** 2
         if heat.shape != self._heat.shape or not np.all((heat >= 0.0) & (heat <= max_n2)):

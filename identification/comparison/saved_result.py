@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.base import ConfigError
+from ...config.files.reading import JsonError, read_json
 from ...config.model import ModelConfig, ModelEffect, load_model
 from ...log.catalogue.results import RESULT
 
@@ -96,8 +96,8 @@ def load_result(path: Path | str) -> SavedResult:
 
 def _beside(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
+        found = read_json(path)
+    except (OSError, JsonError):
         return {}
     return found if isinstance(found, dict) else {}
 

@@ -11,9 +11,11 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from datetime import datetime
 from pathlib import Path
 
 from ...config.files.atomic_write import write_file
+from ...config.files.reading import parse_json
 from .results import RESULT, ResultSummary, read_result
 from .run_summary import RunSummary, state_of, summarise_run
 
@@ -31,15 +33,18 @@ class Run:
 
 
 def update_catalogue(
-    folder: Path, progress: Callable[[str, float], None] | None = None
+    folder: Path,
+    progress: Callable[[str, float], None] | None = None,
+    problem: Callable[[OSError], None] | None = None,
 ) -> tuple[Run, ...]:
     """Return the flights below a folder, newest first, and bring its catalogue.jsonl up to date.
 
     Paths are relative to the folder. A folder that may not be written to is read all the same. A
     result belongs to the flight in whose folder it is, else to the flight of its first log.
+    problem: called for each folder that cannot be read; the others are listed all the same.
     """
     report = progress or (lambda _what, _share: None)
-    found = list(_folders(folder))
+    found = list(_folders(folder, problem))
     known = _known(folder / CATALOGUE)
     summaries = []
     with_logs = [(name, logs) for name, logs, _ in found if logs]
@@ -75,9 +80,11 @@ def _newest(run: Run, command: str) -> str | None:
     return next((r.outcome for r in run.results if r.command == command), None)
 
 
-def _folders(root: Path) -> Iterator[tuple[str, list[Path], bool]]:
+def _folders(
+    root: Path, problem: Callable[[OSError], None] | None
+) -> Iterator[tuple[str, list[Path], bool]]:
     """Yield the folders with logs or a result: name relative to root, logs, whether a result."""
-    for here, inside, names in os.walk(root):
+    for here, inside, names in os.walk(root, onerror=problem):
         inside[:] = sorted(n for n in inside if n not in _SKIPPED and not n.startswith("."))
         logs = [Path(here, name) for name in sorted(names) if name.endswith(".mcap")]
         if logs or RESULT in names:
@@ -90,16 +97,27 @@ def _known(path: Path) -> dict[str, RunSummary]:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return {}
-    names = {field.name for field in fields(RunSummary)}
     found = {}
     for line in lines:
         try:
-            plain = json.loads(line)
-            summary = RunSummary(**{name: plain[name] for name in names})
+            summary = _summary(parse_json(line))
         except (ValueError, TypeError, KeyError):
             continue
         found[summary.folder] = summary
     return found
+
+
+def _summary(plain: dict[str, object]) -> RunSummary:
+    """Return a summary from JSON data; raises ValueError, TypeError or KeyError for other data."""
+    values = {field.name: plain[field.name] for field in fields(RunSummary)}
+    for field in fields(RunSummary):
+        kinds = {"str": (str,), "bool": (bool,), "int": (int,), "float": (int, float)}
+        if not isinstance(values[field.name], kinds[str(field.type)]):
+            raise TypeError(field.name)
+    summary = RunSummary(**values)  # type: ignore[arg-type] - just checked
+    if datetime.fromisoformat(summary.flown).tzinfo is None:
+        raise ValueError(summary.flown)
+    return summary
 
 
 def _results(

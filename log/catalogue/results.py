@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...config.escaping import one_line
+from ...config.files.reading import read_json
 
 RESULT = "result.json"
 
@@ -39,16 +39,16 @@ def read_result(folder: Path) -> ResultSummary | None:
     """Return the summary of a result's folder, None if there is no readable result.json."""
     path = folder / RESULT
     try:
-        found = json.loads(path.read_bytes())
+        found = read_json(path)
         written = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError, OverflowError):  # of the file, or of its date
         return None
     if not isinstance(found, dict) or found.get("command") not in ("identify", "trace"):
         return None
     command = str(found["command"])
     try:
         outcome = _traced(found) if command == "trace" else _identified(found)
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (LookupError, ArithmeticError, TypeError, ValueError, AttributeError):
         outcome = "result.json has another form than this version of levid writes"
     logs = found.get("logs")
     names = tuple(map(str, logs)) if isinstance(logs, list) else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import blake2s
@@ -10,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import LogError
 from ..exporting.export_log import time_of
 from ..log_facts import file_date, flight_date, is_virtual, rig_name, versions
 from ..log_stream import Block, LogStream
@@ -56,8 +56,8 @@ def state_of(logs: Sequence[Path]) -> str:
     """Return a text that changes if a log is written, added or removed."""
     parts = []
     for path in logs:
-        stat = path.stat()
-        parts.append(f"{path.name}:{stat.st_size}:{stat.st_mtime_ns}")
+        found = _status(path)
+        parts.append(f"{path.name}:{found.st_size}:{found.st_mtime_ns}" if found else path.name)
     return blake2s("|".join(parts).encode(errors="replace"), digest_size=8).hexdigest()
 
 
@@ -70,7 +70,7 @@ def summarise_run(folder: str, logs: Sequence[Path]) -> RunSummary:
     for path in logs:
         try:
             found.append(_LogHead(path))
-        except LogError:
+        except Exception:  # noqa: BLE001 - no file may hide the other flights
             unreadable += 1
     first = min(found, key=lambda log: log.begin_s, default=None)
     flown = (first and first.flown) or file_date(*logs)
@@ -90,7 +90,7 @@ def summarise_run(folder: str, logs: Sequence[Path]) -> RunSummary:
         incomplete=sum(log.incomplete for log in found),
         unflown=unflown_steps([log.metadata for log in found]),
         unreadable=unreadable,
-        bytes=sum(path.stat().st_size for path in logs),
+        bytes=sum(found.st_size for path in logs if (found := _status(path))),
         levid="" if first is None else first.levid,
         state=state_of(logs),
     )
@@ -104,6 +104,14 @@ def unflown_steps(metadata: Iterable[Mapping[str, str]]) -> int:
             steps = max(steps, int(facts["steps"]))
             flown.add(facts.get("step"))
     return max(steps - len(flown), 0)
+
+
+def _status(path: Path) -> os.stat_result | None:
+    """Return the status of a log; None for a link that leads nowhere, or without rights."""
+    try:
+        return path.stat()
+    except OSError:
+        return None
 
 
 class _LogHead:

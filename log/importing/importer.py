@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.base import load_yaml
+from ...config.files.reading import kind_of
 from ..errors import LogError
 from ..writer import LogWriter, new_log_file
 from .array_variables import load_npz, read_variables
@@ -163,7 +164,7 @@ def file_format(path: Path, stated: Format | None = None) -> Format:
     """Return the format of a data file, by its suffix if it is not stated; raise LogError."""
     kind = stated or FORMAT_OF_SUFFIX.get(path.suffix.lower())
     if not path.is_file():
-        raise LogError(f"{path}: expected a file, found {'a folder' if path.exists() else 'none'}")
+        raise LogError(f"{path}: expected a file, found {kind_of(path)}")
     if kind is None and _is_text(path):
         return "text"
     if kind is None:

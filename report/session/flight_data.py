@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from ...config.base import ConfigError, parse_text
 from ...config.rig import RigConfig
 from ...daemon.control.faults import FAULTS, Fault
 from ...daemon.control.states import State
+from ...log.log_facts import versions
 from ...log.reader import Log, read_log
 from ..plotting.min_max_bins import MOST_BINS
 from ..plotting.min_max_envelope import Envelope, envelope, over_time
@@ -219,7 +219,7 @@ def _reduced(log: Log, most_bins: int, event_rows: int) -> _Part:
     return _Part(
         session=log.metadata.get("session", log.path.stem),
         rate_hz=log.rate_hz,
-        versions=_versions(log),
+        versions=versions(log.attachments),
         step=step,
         spans=_spans(log, t),
         signals=signals,
@@ -324,15 +324,6 @@ def _column(log: Log, name: str) -> NDArray[Any]:
 
 def _counted(log: Log) -> Array:
     return np.arange(len(log.rows)) / log.rate_hz
-
-
-def _versions(log: Log) -> dict[str, str]:
-    """Return the versions in a log's metadata; empty if they are not a JSON object."""
-    try:
-        found = json.loads(log.attachments.get("versions.json", b"{}"))
-    except ValueError:
-        return {}
-    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
 
 
 _FAULTS = {int(fault) for fault in Fault if fault != Fault.NONE}

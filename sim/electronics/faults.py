@@ -80,41 +80,44 @@ class Injector:
             raise InjectionError(f"expected clear or one of {', '.join(FAULTS)}, found '{name}'")
         if len(arguments) != len(kind.argument.split()):
             raise InjectionError(f"{name}: expected {kind.argument or 'no argument'}")
-        injected = self._core.injected
         with self._core.lock:
-            match kind.argument:
-                case "channel metres":
-                    channel = _channel(name, arguments[0], self._core.sensors)
-                    injected.off_m[channel] = _number(name, arguments[1])
-                case "channel":
-                    count = self._core.coils if name == "trip" else self._core.sensors
-                    whole = (name, *arguments) == ("frozen", "all")
-                    channels = range(count) if whole else [_channel(name, arguments[0], count)]
-                    {
-                        "stuck": injected.stuck,
-                        "frozen": injected.frozen,
-                        "saturated": injected.saturated,
-                        "trip": injected.tripping,
-                    }[name].update(channels)
-                case "axis":
-                    axis = _one_of(name, arguments[0], AXES)
-                    if name == "encoder":
-                        injected.lost_axes.add(axis)
-                    else:
-                        injected.actuators.delay_drive(name, AXES[axis])
-                case "coil=number":
-                    coil, _, number = arguments[0].partition("=")
-                    channel = _channel(name, coil, self._core.coils)
-                    injected.actuators.set_force(name, channel, _number(name, number))
-                case "metres":
-                    injected.skew_m = _number(name, arguments[0])
-                case "hold":
-                    injected.hold = HOLDS[_one_of(name, arguments[0], HOLDS)]
-                case "newtons":
-                    injected.push_n = _number(name, arguments[0])
-                case _:
-                    self.wire.add(name)
+            self._inject(name, kind.argument, arguments)
         return line
+
+    def _inject(self, name: str, argument: str, arguments: list[str]) -> None:
+        injected = self._core.injected
+        match argument:
+            case "channel metres":
+                channel = _channel(name, arguments[0], self._core.sensors)
+                injected.off_m[channel] = _number(name, arguments[1])
+            case "channel":
+                count = self._core.coils if name == "trip" else self._core.sensors
+                whole = (name, *arguments) == ("frozen", "all")
+                channels = range(count) if whole else [_channel(name, arguments[0], count)]
+                {
+                    "stuck": injected.stuck,
+                    "frozen": injected.frozen,
+                    "saturated": injected.saturated,
+                    "trip": injected.tripping,
+                }[name].update(channels)
+            case "axis":
+                axis = _one_of(name, arguments[0], AXES)
+                if name == "encoder":
+                    injected.lost_axes.add(axis)
+                else:
+                    injected.actuators.delay_drive(name, AXES[axis])
+            case "coil=number":
+                coil, _, number = arguments[0].partition("=")
+                channel = _channel(name, coil, self._core.coils)
+                injected.actuators.set_force(name, channel, _number(name, number))
+            case "metres":
+                injected.skew_m = _number(name, arguments[0])
+            case "hold":
+                injected.hold = HOLDS[_one_of(name, arguments[0], HOLDS)]
+            case "newtons":
+                injected.push_n = _number(name, arguments[0])
+            case _:
+                self.wire.add(name)
 
     def clear(self) -> None:
         """Clear all faults; tripped amplifiers stay off until the host resets them."""

@@ -192,6 +192,7 @@ def _rig(rig: RigConfig, path: Path) -> str:
     bus_rate = f"; bus rate limit {1 / budget.cycle_s:.0f} Hz" if budget.buses else ""
     coils = f"{len(rig.geometry.coil_x_m)} coils"
     whole = with_model(rig, path)
+    _warn_of_coil_check(whole, path)
     forces, margin = _feed_forward(whole, path), _loop(whole, path)
     noisy = standing_warning(whole, context.period_s, step_m, _simulated_noise_m(rig, path))
     for warning in filter(None, (*undetectable(rig), noisy)):
@@ -208,6 +209,18 @@ def _simulated_noise_m(rig: RigConfig, path: Path) -> float | None:
     if rig.sim is None or rig.sensors.backend != "loopback":
         return None
     return load_yaml(path.parent / rig.sim, SimConfig).sensors.noise_m
+
+
+def _warn_of_coil_check(rig: RigConfig, path: Path) -> None:
+    """Print why the daemon cannot check the coils of this rig after lift-off, if it cannot."""
+    from ..config.base import ConfigError
+    from ..config.session import CoilCheck, Levitate, Step
+    from ..daemon.planning.plan import plan_steps
+
+    try:
+        plan_steps([Step(levitate=Levitate())], "levitate", rig, 0.0, 0.0, CoilCheck())
+    except ConfigError as error:
+        click.echo(f"{path}: warning: no coil check after lift-off: {error}", err=True)
 
 
 def _loop(rig: RigConfig, path: Path) -> str:

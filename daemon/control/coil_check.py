@@ -52,8 +52,13 @@ class Pushes:
 
     @classmethod
     def of(cls, check: CoilCheck, coils: int, rate_hz: float) -> Pushes:
-        """Convert the times of `check` to cycles at `rate_hz`."""
-        push, pause = (max(round(s * rate_hz), 1) for s in (check.push_s, check.pause_s))
+        """Convert the times of `check` to whole cycles at `rate_hz`, at least one.
+
+        A push is not rounded up to more than `LONGER` times its length.
+        """
+        longest = int(LONGER * check.push_s * rate_hz)
+        push = max(min(round(check.push_s * rate_hz), longest), 1)
+        pause = max(round(check.pause_s * rate_hz), 1)
         return cls(push, pause, check.push_n, coils)
 
     @property

@@ -50,8 +50,10 @@ FAULTS: dict[Fault, FaultText] = {
         "levid clear, which reopens it",
     ),
     Fault.AMPLIFIER: FaultText(
-        "the coil amplifiers tripped, or switched off while a force was commanded",
-        "current and temperature of the coil in the message; late cycles",
+        "the coil amplifiers tripped, switched off while a force was commanded, or drive another "
+        "force than commanded (limits.coil_follow_n)",
+        "the coil in the message: its cable, current and temperature; if it keeps a force at zero "
+        "command, switch off its supply; late cycles",
         "levid clear, which resets the trip once its cause is removed",
     ),
     Fault.SENSOR: FaultText(
@@ -60,8 +62,9 @@ FAULTS: dict[Fault, FaultText] = {
         "the sensor in the message, its fastening and cable; the ADC if several repeat",
     ),
     Fault.DRIVE: FaultText(
-        "a manipulator drive failed, or does not follow its setpoints",
-        "encoder and motor in the message, gantry skew",
+        "a manipulator drive failed, or does not follow its setpoints (limits.beam_follow_m, "
+        "rotor_follow_rad)",
+        "the drive in the message: encoder, motor, what blocks it; gantry skew",
         "levid clear, which homes the drives (on CAN) and enables them",
     ),
     Fault.SIMULATION: FaultText(

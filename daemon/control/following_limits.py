@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...config.rig import RigConfig
 from ...model.geometry import shape_matrix
-from .feed_forward import FeedForwardLaw
+from .feed_forward import FeedForwardLaw, feed_forward
 from .following_check import COIL_READINGS, FollowingCheck
 
 Array = NDArray[np.float64]
@@ -53,6 +53,20 @@ def beam_follow_m(rig: RigConfig, law: FeedForwardLaw) -> float:
     gap_per_m = float((S @ tilt_per_m).max())
     derived = _GAP_SHARE * rig.limits.gap_m / gap_per_m if gap_per_m > 0.0 else math.inf
     return min(max(derived, _LEAST_BEAM_M), _MOST_BEAM_M)
+
+
+def off_target(row: NDArray[np.void], rig: RigConfig) -> str:
+    """Return which drive a log row (scalar) shows away from its setpoint; empty if none."""
+    law = feed_forward(rig, 1.0 / rig.rate_hz)
+    for what, at, to, limit in (
+        ("the beam is at {:.5f} m, its target is {:.5f} m", row["beam_m"], row["beam_ref_m"],
+         beam_follow_m(rig, law)),
+        ("the rotor is at {:.4f} rad, its target is {:.4f} rad", row["rotor_rad"],
+         row["rotor_ref_rad"], rig.limits.rotor_follow_rad),
+    ):  # fmt: skip
+        if not abs(at - to) <= limit:
+            return what.format(at, to)
+    return ""
 
 
 def following_check(

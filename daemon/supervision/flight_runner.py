@@ -12,6 +12,7 @@ from ..api.control_server import Reply
 from ..control.coil_check import CoilCheckResult, coil_check
 from ..control.faults import Fault, FlightFault
 from ..control.flight_segment import Segment
+from ..control.following_limits import off_target
 from ..control.states import IN_FLIGHT, State
 from ..ipc.flight_segment_stream import Logged, SegmentFeeder
 from ..ipc.row_ring import NO_LOG
@@ -236,6 +237,10 @@ class JobRunner:
         """Store the counts of the flight; its last rows still have to be written."""
         control_words = self._control_words
         job.ended_s, job.end = now_s, self._ring.head
+        rows = self._ring.last(1).rows
+        moved = not job.begins_at_rest and control_words[Word.PLAN_CUT] < job.number
+        if moved and job.error is None and len(rows) and (off := off_target(rows[-1], self._rig)):
+            job.error = RefusedError(f"move: {off}: the drive is too slow for settle_s, or jams")
         late = control_words[Word.LATE] - job.counts_before[0]
         job.flown = control_words[Word.CYCLE] - job.start_cycle, late
 

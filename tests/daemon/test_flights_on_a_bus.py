@@ -14,6 +14,7 @@ import yaml
 from daemon_process import Daemon, daemon
 from waiting import wait_until
 
+from levid.cli.status_text import status_lines
 from levid.config.base import parse_text
 from levid.config.rig import RigConfig
 from levid.config.shipped import shipped
@@ -123,6 +124,8 @@ def test_session_is_flown_and_lands(rig: Rig, tmp_path: Path) -> None:
     ("line", "fault", "words"),
     [
         ("trip 3", Fault.AMPLIFIER, "coil 3"),
+        ("coil-gain 4=0", Fault.AMPLIFIER, "coil 4: commanded .* reads back "),
+        ("coil-offset 2=1.5", Fault.AMPLIFIER, "coil 2: commanded .* reads back "),
         ("encoder phi", Fault.DRIVE, "0x7305"),
         ("push 60", Fault.GAP, "mm at sensor"),
     ],
@@ -142,6 +145,47 @@ def test_fault_in_flight_is_in_the_log_and_is_cleared(
     injector.clear()
     assert rig.ask("clear")["cleared"] == fault.name
     rig.fly(SESSION, tmp_path / "again")
+
+
+def test_amplifier_that_keeps_its_force_after_landing_is_named_and_forbids_a_lift_off(
+    rig: Rig, tmp_path: Path
+) -> None:
+    rig.fly(SESSION, tmp_path / "out")
+    wait_until(lambda: rig.ask("status")["zero_force"]["confirmed"], _GIVE_UP_S)
+    assert status_lines_of(rig)[0].endswith("idle, zero force")
+    rig.electronics.injector.command("coil-force 3=7.63")
+    words = "coil 3: commanded 0.00 N, reads back 7.6"
+    wait_until(lambda: words in rig.ask("status")["detail"], _GIVE_UP_S)
+    status = rig.ask("status")
+    assert status["fault"] == "AMPLIFIER"
+    failed = {f["check"]: f["found"] for f in status["preflight"] if f["outcome"] == "failed"}
+    assert failed["amplifiers"].startswith("coil 3 reads back 7.6")
+    assert "coils: zero force commanded; coil 3 reads back 7.6" in "\n".join(status_lines_of(rig))
+    with pytest.raises(DaemonError, match=r"in fault AMPLIFIER \(coil 3"):
+        rig.fly(SESSION, tmp_path / "no")
+    with pytest.raises(DaemonError, match="coil 3"):  # it still keeps the force
+        rig.ask("clear")
+    rig.electronics.injector.clear()
+    assert rig.ask("clear")["cleared"] == "AMPLIFIER"
+    rig.fly(SESSION, tmp_path / "again")
+
+
+def status_lines_of(rig: Rig) -> list[str]:
+    return list(status_lines(rig.ask("status")))
+
+
+@pytest.mark.parametrize("motor", ["x1", "phi"])
+def test_move_of_a_drive_that_does_not_move_fails(rig: Rig, motor: str) -> None:
+    target = {"rotor_rad": 1.0} if motor == "phi" else {"beam_m": 0.05}
+    where = "the rotor is at" if motor == "phi" else "the beam is at"
+    with Client(rig.daemon.socket) as client:
+        lift = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 0.1}
+        client.request("levitate", levitate=lift, override=["loop"])
+        rig.electronics.injector.command(f"jam {motor}")
+        with pytest.raises(DaemonError, match=f"fault DRIVE .*{where}"):
+            client.request("move", move=target)
+    rig.electronics.injector.clear()
+    assert rig.ask("clear")["cleared"] == "DRIVE"
 
 
 def test_bus_that_goes_away_and_comes_back(rig: Rig, tmp_path: Path) -> None:

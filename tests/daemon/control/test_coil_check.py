@@ -9,12 +9,12 @@ import yaml
 
 from levid.config.base import ConfigError, parse_text
 from levid.config.rig import load_rig
-from levid.config.session import CoilCheck, SessionConfig
+from levid.config.session import CoilCheck, Levitate, SessionConfig, Step
 from levid.config.shipped import shipped
-from levid.daemon.control.coil_check import Pushes, coil_check
+from levid.daemon.control.coil_check import LONGER, Pushes, coil_check
 from levid.daemon.control.faults import Fault, FlightFault
 from levid.daemon.loop.virtual_session import fly_virtually
-from levid.daemon.planning.plan import plan_session
+from levid.daemon.planning.plan import plan_session, plan_steps
 from levid.log.reader import read_log
 from levid.log.signals import Stale
 from levid.model.geometry import shape_matrix
@@ -121,6 +121,40 @@ def test_push_shorter_than_a_cycle_is_refused() -> None:
         config = parse_text(text, SessionConfig, "x")
         with pytest.raises(ConfigError, match=r"check_coils.push_s: expected .* at least one per"):
             plan_session(config, rig)
+
+
+def test_push_is_whole_cycles_at_every_rate_and_nearly_as_long_as_asked() -> None:
+    """A push of a period or more is possible if one period is not much longer than the push."""
+    check = CoilCheck()
+    for rate_hz in np.geomspace(50.0, 10_000.0, 20_000):
+        push = Pushes.of(check, 9, rate_hz).push
+        possible = LONGER * check.push_s * rate_hz >= 1.0
+        assert (push <= LONGER * check.push_s * rate_hz) == possible
+        # A push of one or two cycles is at least half as long: a quarter of the motion, 0.7 um for
+        # the default push, of which noise of 0.1 um over ten cycles hides little.
+        assert push >= 0.5 * check.push_s * rate_hz
+
+
+@pytest.mark.parametrize("rate_hz", [188.0, 220.0, 313.0, 339.0, 438.0, 453.0])
+def test_rates_at_which_a_push_is_no_whole_cycles_are_checked(
+    tmp_path: Path, rate_hz: float
+) -> None:
+    rig = load_rig(RIG_FILE).model_copy(update={"rate_hz": rate_hz})
+    steps = [Step(levitate=Levitate())]
+    plan = plan_steps(steps, "levitate", rig, 0.0, 0.0, CoilCheck())
+    assert any(segment.checks for segment in plan.steps[0].segments())
+
+
+@pytest.mark.parametrize(("gain", "error"), [(1.0, ""), (0.7, "coil 5 moved the platform")])
+def test_check_judges_coils_by_a_push_of_one_cycle(tmp_path: Path, gain: float, error: str) -> None:
+    gains = [1.0] * 9
+    gains[5] = gain
+    sim = wired(tmp_path, list(range(9)), gains)
+    if error:
+        with pytest.raises(FlightFault, match=error):
+            fly(tmp_path, sim, 200.0)
+    else:
+        fly(tmp_path, sim, 200.0)
 
 
 def test_default_check_applies_only_if_the_session_does_not_decide() -> None:

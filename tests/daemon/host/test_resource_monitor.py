@@ -210,7 +210,7 @@ def test_status_says_in_words_what_weighed_on_the_daemon(
         lines = levid("status").out.splitlines()
     finally:
         server.close()
-    assert lines[0] == "here at 1000 Hz: idle, zero force"
+    assert lines[0] == "here at 1000 Hz: idle, zero force commanded"
     assert lines[1] == "cycle 5, 0 late, 2 stale readings"
     assert lines[4:] == heavy * [
         "3 clients disconnected in flight",

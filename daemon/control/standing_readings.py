@@ -113,7 +113,7 @@ def _of_channel(y: Array, least_step_m: float) -> tuple[float, float, float, flo
     seen = _upper_bound(float(again.mean()), len(again))
     ends = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(int)))
     longest = float((ends[1::2] - ends[::2]).max(initial=0))
-    explained = by_noise >= _MOST_REPEATS or longest <= math.log(1e3 * len(y)) / -math.log(by_noise)
+    explained = again.mean() <= by_noise
     repeat = max(by_noise, seen) if by_noise < _MOST_REPEATS else 1.0
     return step, float(y.std()), repeat, 0.0 if explained else longest
 

@@ -16,8 +16,16 @@ from .import_guard import OwnProcess
 from .private_files import make_private_folder
 from .user_folders import absolute_folder, home, temporary_folder
 
-_DROPPED = ("MPLBACKEND", "MATPLOTLIBRC", "PYTHONWARNINGS", "PYTHONINSPECT", "PYTHONBREAKPOINT")
-_NUMBA, _CACHE = "NUMBA_", "NUMBA_CACHE_DIR"
+_DROPPED = (
+    *("MATPLOTLIBRC", "SOURCE_DATE_EPOCH", "TEXTUAL_DRIVER"),
+    *("PYTHONWARNINGS", "PYTHONINSPECT", "PYTHONBREAKPOINT"),
+)
+_PACKAGES = (
+    *("CANTOOLS_", "LLVMLITE_", "MPL", "MSGPACK_", "NPY_", "NUMBA_", "NUMPY_", "PROMETHEUS_"),
+    *("PYDANTIC_", "SCIPY_", "prometheus_"),
+)
+"""Prefixes of the settings of packages, which change results or print, or name folders of code."""
+_KEPT = "NUMBA_CACHE_DIR"
 _XDG = "XDG_"
 _SIZES = ("COLUMNS", "LINES")
 _LARGEST_SIZE = 1000
@@ -35,7 +43,8 @@ def prepare_command() -> None:
         # The specification of XDG says to ignore a relative path.
         names_folder = name.startswith(_XDG) and name.endswith(("_HOME", "_DIR"))
         relative = names_folder and absolute_folder(os.environ[name]) is None
-        if name in _DROPPED or (name.startswith(_NUMBA) and name != _CACHE) or relative:
+        of_package = name.startswith(_PACKAGES) and name != _KEPT
+        if name in _DROPPED or of_package or relative:
             del os.environ[name]
     for name in _SIZES:
         value = os.environ.get(name, "1")

@@ -20,8 +20,8 @@ class ForeignFileError(PermissionError):
     """Report that another user owns or can change a file that would be executed."""
 
 
-def read_code(path: Path | str) -> bytes:
-    """Return the content of a file with code.
+def read_code(path: Path | str, most_bytes: int = -2) -> bytes:
+    """Return the content of a file with code; one byte more than `most_bytes` of a longer one.
 
     It may belong to this user or root, and be writable by its owner's private group: the default
     of many systems (umask 002).
@@ -30,7 +30,7 @@ def read_code(path: Path | str) -> bytes:
         ForeignFileError: another user owns the file or can change it.
         OSError: the file cannot be read.
     """
-    return _read(path, _FLAGS, _foreign_code)
+    return _read(path, _FLAGS, _foreign_code, most_bytes + 1)
 
 
 def read_private(path: Path | str) -> bytes:
@@ -61,14 +61,19 @@ def make_private_folder(folder: Path) -> bool:
     return os.access(folder, os.W_OK | os.X_OK)
 
 
-def _read(path: Path | str, flags: int, problem: Callable[[os.stat_result, int], str]) -> bytes:
+def _read(
+    path: Path | str,
+    flags: int,
+    problem: Callable[[os.stat_result, int], str],
+    most_bytes: int = -1,
+) -> bytes:
     with os.fdopen(os.open(path, flags), "rb") as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):
             raise ForeignFileError(0, "expected a file", str(path))
         if what := problem(found, file.fileno()):
             raise ForeignFileError(0, what, str(path))
-        return file.read()
+        return file.read(most_bytes)
 
 
 def _not_private(found: os.stat_result, _: int) -> str:

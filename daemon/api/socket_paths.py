@@ -19,7 +19,7 @@ def own_socket(rig: RigConfig | None) -> Path:
     if rig is not None and rig.socket:
         return Path(rig.socket)
     runtime = os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR")
-    if runtime:
+    if runtime and Path(runtime).is_absolute():  # the specification says to ignore others
         return Path(runtime) / "levid.sock"
     return Path("/tmp") / f"levid-{os.getuid()}" / "levid.sock"
 

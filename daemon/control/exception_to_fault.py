@@ -52,7 +52,9 @@ def fault_of(error: Exception) -> tuple[Fault, str]:
             return _FAULT_OF[kind], str(error)
     own = type(error).__module__.startswith("levid.")
     detail = str(error) if own else f"{type(error).__name__}: {error}"
-    return (Fault.DRIVER if _is_of_device(error) else Fault.SOFTWARE), detail
+    if _is_of_device(error):
+        return Fault.DRIVER, detail
+    return Fault.SOFTWARE, f"{detail}{_place(error.__traceback__)}"
 
 
 def _is_of_device(error: Exception) -> bool:
@@ -65,6 +67,16 @@ def _is_of_device(error: Exception) -> bool:
     # A backend may itself use what loads files and compiles.
     raised_by = next((m for m in reversed(modules) if not _is_standard(m)), "")
     return _is_backend(raised_by) or (foreign and any(map(_is_backend, modules)))
+
+
+def _place(traceback: TracebackType | None) -> str:
+    """Return file and line where an error was raised, for the report of a defect."""
+    if traceback is None:
+        return ""
+    while traceback.tb_next is not None:
+        traceback = traceback.tb_next
+    name = traceback.tb_frame.f_code.co_filename.rpartition("/")[2]
+    return f" ({name}:{traceback.tb_lineno})"
 
 
 def _modules(traceback: TracebackType | None) -> list[str]:

@@ -164,11 +164,11 @@ class TimedLoop:
 
     def _raised(self, error: Exception) -> None:
         """Command zero force first, then write a log row with the fault."""
-        fault, detail = fault_of(error)
         state_machine, control = self.state_machine, self._controller
         harmless = not control.engaged and state_machine.state is not State.SELF_TEST
         # At each exception: the bus may have lost an earlier frame.
         self._zero()
+        fault, detail = fault_of(error)
         # The cycle updates these with its rows, but this one wrote none.
         self._words[_STALE] = self._stale_before + self._devices.stale
         self._words[_LATE] = self._lateness.late

@@ -20,6 +20,7 @@ from ...config.files.atomic_write import write_file
 from ...config.files.folders import make_folder
 from ...config.files.reading import read_json
 from ...config.rig import RigConfig
+from ...runtime.user_folders import temporary_folder, xdg_folder
 
 INTERVAL_S = 5.0
 _COLD = 0.01
@@ -133,12 +134,15 @@ class HeatFile:
 
 
 def state_folder() -> Path:
-    """Return the folder for files that outlast the daemon: of the service, otherwise the user."""
+    """Return the folder for files that outlast the daemon: of the service, otherwise the user.
+
+    A user without a home folder has one in /tmp.
+    """
     state = os.environ.get("STATE_DIRECTORY")
     if state:
         return Path(state.split(":", maxsplit=1)[0])
-    home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return Path(home) / "levid"
+    folder = xdg_folder("XDG_STATE_HOME", ".local/state")
+    return temporary_folder() / "state" if folder is None else folder / "levid"
 
 
 def _now() -> dict[str, Any]:

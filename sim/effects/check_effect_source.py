@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ...config.sim import SimEffect
+from ...runtime.private_files import ForeignFileError, read_code
 from .effect_interface import HOOKS, EffectError
 from .loader import Effects, effect_file, effect_place
 
@@ -45,8 +46,9 @@ def check_effects(effects: Sequence[SimEffect], source: Path | None) -> list[Pat
 
 def _parsed(where: str, path: Path) -> ast.Module:
     try:
-        with path.open("rb") as file:
-            text = file.read(_MOST_BYTES + 1)
+        text = read_code(path, _MOST_BYTES)
+    except ForeignFileError as error:
+        raise EffectError(f"{where}: {path}: {error.strerror}") from None
     except OSError as error:
         raise EffectError(f"{where}: {path} cannot be read: {error.strerror}") from None
     if len(text) > _MOST_BYTES:

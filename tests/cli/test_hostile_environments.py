@@ -60,6 +60,10 @@ ENVIRONMENTS = {
         "NUMBA_CACHE_LOCATOR_CLASSES": "nowhere.Locator",
         "TZ": "Nowhere/No_Such_City",
         "SOURCE_DATE_EPOCH": "never",
+        "SCIPY_ARRAY_API": "some",
+        "NUMPY_MADVISE_HUGEPAGE": "some",
+        "PYDANTIC_DISABLE_PLUGINS": "some",
+        "CANTOOLS_CACHE_DIR": "here",
     },
     "ASCII, warnings are errors": {
         "LC_ALL": "C",

@@ -1,5 +1,7 @@
 """Test the hooks of effects: order of calls, results, errors."""
 
+import os
+import py_compile
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ from repository_folders import SIMS
 from levid.config.base import load_yaml
 from levid.config.sim import SimConfig, SimEffect
 from levid.sim.effects import EffectError, Effects
+from levid.sim.effects.check_effect_source import check_effects
 from levid.sim.effects.ground_vibration import GroundNoise, GroundTone
 from levid.sim.plant import Plant
 
@@ -300,6 +303,51 @@ def test_impossible_mass_is_named(folder: Path) -> None:
         fly(build(folder, [{"use": "Lopsided"}]))
     with pytest.raises(EffectError, match="positive definite"):
         fly(build(folder, [{"use": "Vanishing"}], "rig"))
+
+
+@pytest.mark.parametrize("mode", [0o646, 0o666, 0o664, 0o660, 0o620])
+def test_file_that_others_may_change_is_not_executed(folder: Path, mode: int) -> None:
+    file = folder / "effects" / "mine.py"
+    file.chmod(mode)
+    if not mode & 0o002:
+        if os.getuid() != 0:
+            pytest.skip("only root can give a file to a group that it is not in")
+        os.chown(file, -1, 4242)
+    place = folder / "SIM.yaml"
+    effect = SimEffect.model_validate({"use": "effects/mine.py:Bearing"})
+    for load in (check_effects, Effects):
+        with pytest.raises(EffectError, match=r"mine.py: its code is not executed: .*may change"):
+            load([effect], place)
+    file.chmod(0o644)
+    Effects([effect], place)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file away")
+def test_file_of_another_user_is_not_executed(folder: Path) -> None:
+    os.chown(folder / "effects" / "mine.py", 65534, -1)
+    effect = SimEffect.model_validate({"use": "effects/mine.py:Bearing"})
+    for load in (check_effects, Effects):
+        with pytest.raises(EffectError, match=r"it belongs to user .*, who can change it"):
+            load([effect], folder / "SIM.yaml")
+
+
+def test_bytecode_beside_the_file_is_not_executed(folder: Path) -> None:
+    """Whoever may write to the folder's __pycache__ cannot replace the code."""
+    file = folder / "effects" / "mine.py"
+    file.write_text("raise SystemExit('bytecode')\n")
+    never = py_compile.PycInvalidationMode.UNCHECKED_HASH
+    py_compile.compile(str(file), invalidation_mode=never)
+    file.write_text(EFFECTS)
+    Effects([SimEffect.model_validate({"use": "effects/mine.py:Bearing"})], folder / "SIM.yaml")
+
+
+def test_class_without_hooks_is_not_even_constructed(folder: Path, tmp_path: Path) -> None:
+    """A SIM.yaml may name any class of Python, one that starts programs too."""
+    touched = tmp_path / "touched"
+    effect = {"use": "subprocess:Popen", "args": ["touch", str(touched)]}
+    with pytest.raises(EffectError, match="expected a class with one or more of"):
+        Effects([SimEffect.model_validate(effect)], folder / "SIM.yaml")
+    assert not touched.exists()
 
 
 def test_module_effect_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,10 +8,16 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from daemon_process import calm, daemon
 from recorder_in_thread import Recording
 from waiting import wait_until
 
+from levid.cli.status_text import status_lines
+from levid.config.rig import load_rig
+from levid.config.shipped import shipped
+from levid.daemon.client import Client
 from levid.daemon.host.lost_log import Loss, find_loss
 from levid.daemon.ipc.shared_status_words import Word
 from levid.log.errors import LogError
@@ -143,3 +149,43 @@ def test_log_in_place_is_whole(tmp_path: Path) -> None:
         found = find_loss(path, file.fileno(), 100)
         assert found is not None
         assert found.loss is Loss.MOVED  # by its other name it is still there
+
+
+SESSION = """
+levid: session
+name: short
+steps:
+  - levitate: {unload_s: 0.2, ramp_s: 0.5, settle_s: 0.1}
+  - record: {name: still, duration_s: 5, fade_s: 0.1}
+  - land: {ramp_s: 0.5, release_s: 0.2}
+"""
+
+
+def test_client_and_status_of_a_daemon_say_at_once_that_a_log_was_deleted(tmp_path: Path) -> None:
+    rig_file, out, warnings = shipped("rigs/loopback.yaml"), tmp_path / "out", list[str]()
+    deleted = out / "01-still.mcap"
+    states: list[tuple[str, float]] = []
+    with daemon(calm(load_rig(rig_file), tmp_path), rig_file, tmp_path) as running:
+
+        def report(step: str, share: float) -> None:
+            states.append((step, share))
+            if step == "still" and deleted.exists() and not warnings:
+                deleted.unlink()
+
+        def warn(text: str) -> None:
+            warnings.append(text)
+            states.append(("warned", 0.0))
+            status = running.ask("status")
+            assert "01-still.mcap: was deleted in flight" in status["log_lost"]
+            assert any("was deleted in flight" in line for line in running.said)
+            assert "01-still.mcap: was deleted" in "\n".join(status_lines(status))
+
+        with Client(running.socket) as client:
+            result = client.excite(SESSION, out, report, warn=warn)
+    assert len(warnings) == 1
+    steps = [step for step, _ in states]
+    assert "still" in steps[steps.index("warned") + 1 :], "while it was still being recorded"
+    names = ["00-levitate.mcap", "01-still.mcap", "01-still.2.mcap", "02-land.mcap"]
+    assert [path.name for path in result.logs] == names
+    cycles = np.concatenate([read_log(path).rows["cycle"] for path in result.logs])
+    assert np.array_equal(np.diff(cycles), np.ones(cycles.size - 1))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..identification.value_with_interval import value_with_interval
 from .html_table import Table
 from .model import Parameter
+from .read_only_arrays import read_only
 
 if TYPE_CHECKING:
     import control
@@ -65,7 +66,8 @@ class Plant:
     """A plant x+ = A x + B u, y = C x + D u, with delay and lag as states.
 
     `Ts_s` is 0 for a continuous model, which then has the separate input delay `delay_s`. `method`:
-    how it was identified. `beam_m`: the beam position, None without a beam.
+    how it was identified. `beam_m`: the beam position, None without a beam. The matrices are
+    read-only.
     """
 
     method: str
@@ -80,6 +82,10 @@ class Plant:
     output_units: tuple[str, ...]
     beam_m: float | None = None
     delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("A", "B", "C", "D"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def response(self, freq_hz: NDArray[np.floating]) -> NDArray[np.complex128]:
         """Return the frequency response (F, outputs, inputs) at freq_hz (F,) in Hz."""

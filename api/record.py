@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from ..log.errors import LogError
 from ..log.mcap_scan import scan
 from ..log.reader import Log, described_channel, mapped, rate_hz_of, read_log
 from .html_table import Table
+from .read_only_arrays import read_only
 from .signal_table import SignalInfo, SignalTable, listed, signals_of
 
 if TYPE_CHECKING:
@@ -104,32 +105,32 @@ class Record:
     @cached_property
     def log(self) -> Log:
         """The log as read; not a part of the stable API."""
-        return read_log(self.path)
+        log = read_log(self.path)
+        return replace(log, rows=read_only(log.rows), log_time_ns=read_only(log.log_time_ns))
 
     @cached_property
     def time_s(self) -> NDArray[np.float64]:
-        """Time of each row in s (n,): of the session, else since the log's first row."""
+        """Time of each row in s (n,): of the session, else since the log's first row; read-only."""
         if "time_s" in (self.log.rows.dtype.names or ()):
-            return np.asarray(self.log.rows["time_s"], np.float64)
+            return read_only(np.asarray(self.log.rows["time_s"], np.float64))
         time_ns = self.log.log_time_ns
-        return np.asarray(1e-9 * (time_ns - time_ns[0]).astype(np.float64))
+        return read_only(1e-9 * (time_ns - time_ns[0]).astype(np.float64))
 
     def __len__(self) -> int:
         return len(self.log.rows) if self._head.rows is None else self._head.rows
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return a signal (n,) or (n, length), or one column of it such as gap_m_3 (n,).
+        """Return a signal (n,) or (n, length), or one column of it such as gap_m_3 (n,); read-only.
 
         Raises:
             LogError: the log has no such signal or column.
         """
         for signal in self.signals:
             if name == signal.name:
-                return np.ascontiguousarray(self.log.rows[name])
+                return read_only(np.ascontiguousarray(self.log.rows[name]))
             if name in signal.columns:
-                return np.ascontiguousarray(
-                    self.log.rows[signal.name][:, signal.columns.index(name)]
-                )
+                column = self.log.rows[signal.name][:, signal.columns.index(name)]
+                return read_only(np.ascontiguousarray(column))
         raise self._unknown(name)
 
     def selected(self, columns: Iterable[str] | None) -> SignalTable:

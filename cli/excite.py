@@ -185,7 +185,8 @@ def _on_daemon(
     try:
         with Client(socket_path(rig)) as client, progress("flying on the daemon") as report:
             return client.excite(
-                _text(session), out.resolve(), report, rig_text, if_gone, override, note
+                *(_text(session), out.resolve(), report, rig_text, if_gone, override, note),
+                warn=lambda text: say(f"warning: {text}"),
             )
     except NoDaemonError as error:
         raise NoDaemonError(f"{error}, or fly in this process with --virtual") from None

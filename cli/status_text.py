@@ -47,6 +47,8 @@ def status_lines(status: Status) -> Iterator[str]:
         yield f"  {failed['remedy']}"
     if status["recording"]:
         yield f"not recording: {status['recording']}"
+    if status.get("log_lost"):
+        yield f"log: {status['log_lost']}"
     if status["fault_log"]:
         yield f"last flight recording: {status['fault_log']}"
 

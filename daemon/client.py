@@ -126,17 +126,28 @@ class Client:
         client_gone: str | None = None,
         override: Sequence[str] = (),
         note: str = "",
+        warn: Callable[[str], None] | None = None,
     ) -> FlightResult:
         """Fly the session given as YAML text, logging into `out` on the daemon's machine.
 
         `report` gets the step name and the fraction flown. With `rig` (YAML text) the daemon
         refuses if it runs another rig. `client_gone`: go_on or land, if this client disconnects;
         default: service.client_gone of the rig. override: checks before lift-off whose failure is
-        accepted. note: of the user, for the logs. Raises DaemonError.
+        accepted. note: of the user, for the logs. warn: gets each warning of the flight, such as a
+        log that was deleted. Raises DaemonError.
         """
+        warned: list[str] = []
+
+        def on_line(line: Mapping[str, Any]) -> None:
+            report(str(line.get("step", "")), float(line.get("share", 0.0)))
+            text = str(line.get("warning", ""))
+            if warn is not None and text and text not in warned:
+                warned.append(text)
+                warn(text)
+
         answer = self.request(
             "excite",
-            lambda line: report(str(line.get("step", "")), float(line.get("share", 0.0))),
+            on_line,
             session=session,
             out=str(out),
             rig=rig,

@@ -6,6 +6,7 @@ import ast
 import math
 import operator
 import re
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -38,6 +39,8 @@ _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
 _DECIMAL = re.compile(r"([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 """Python also reads 0x20 and 1_000, which YAML reads in other ways or as text."""
 _DEEPEST = 50
+_MOST_CHARACTERS = 4000
+"""Longest expression; a sum has no other limit."""
 _SHOWN = 60
 
 
@@ -58,10 +61,21 @@ class Expression:
         """Parse finite numbers, names, + - * / **, sqrt, sin, cos, exp; raises ExpressionError."""
         if isinstance(source, float) and not math.isfinite(source):
             raise ExpressionError(f"expected a finite number, found {source}")
+        if isinstance(source, int) and not _is_finite(source):
+            raise ExpressionError("expected a finite number, found a too large one")
         text = str(source).strip()
+        if len(text) > _MOST_CHARACTERS:
+            raise ExpressionError(
+                f"expected an expression of at most {_MOST_CHARACTERS} characters, found "
+                f"{len(text)}"
+            )
         try:
-            tree = ast.parse(text, mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # Python's, of what it reads in another way
+                tree = ast.parse(text, mode="eval").body
+        except (RecursionError, MemoryError):
+            raise ExpressionError(_too_deep(text)) from None
+        except (SyntaxError, ValueError):
             raise ExpressionError(
                 f"expected an arithmetic expression, found '{_short(text)}'"
             ) from None
@@ -100,9 +114,7 @@ class Expression:
 
 def _check(node: ast.expr, names: set[str], text: str, depth: int) -> None:
     if depth > _DEEPEST:
-        raise ExpressionError(
-            f"expected at most {_DEEPEST} levels of brackets, found '{_short(text)}'"
-        )
+        raise ExpressionError(_too_deep(text))
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             if not _is_finite(number):
@@ -118,17 +130,31 @@ def _check(node: ast.expr, names: set[str], text: str, depth: int) -> None:
             names.add(name)
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
             _check(operand, names, text, depth + 1)
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            _check(left, names, text, depth + 1)
-            _check(right, names, text, depth + 1)
+        case ast.BinOp(op=op) if type(op) in _BINARY:
+            first, terms = _terms(node)
+            for part in (first, *(right for _, right in terms)):
+                _check(part, names, text, depth + 1)
         case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in _FUNCTIONS:
             _check(argument, names, text, depth + 1)
         case _:
-            part = ast.unparse(node)
+            part = ast.get_source_segment(text, node) or text
             raise ExpressionError(
                 f"expected numbers, names, + - * / ** and {', '.join(_FUNCTIONS)}, "
                 f"found '{_short(part)}' in '{_short(text)}'"
             )
+
+
+def _terms(node: ast.expr) -> tuple[ast.expr, list[tuple[ast.operator, ast.expr]]]:
+    """Return the first term, and operator and term of each further one: a sum may be long."""
+    terms: list[tuple[ast.operator, ast.expr]] = []
+    while isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+        terms.append((node.op, node.right))
+        node = node.left
+    return node, terms[::-1]
+
+
+def _too_deep(text: str) -> str:
+    return f"expected at most {_DEEPEST} levels of brackets and powers, found '{_short(text)}'"
 
 
 def _is_finite(number: int | float) -> bool:
@@ -154,8 +180,12 @@ def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
         case ast.UnaryOp(op=op, operand=operand):
             value = _value(operand, values)
             return -value if isinstance(op, ast.USub) else value
-        case ast.BinOp(left=left, op=op, right=right):
-            return _BINARY[type(op)](_value(left, values), _value(right, values))
+        case ast.BinOp():
+            first, terms = _terms(node)
+            result = _value(first, values)
+            for op, right in terms:
+                result = _BINARY[type(op)](result, _value(right, values))
+            return result
         case ast.Call(func=ast.Name(id=name), args=[argument]):
             return _FUNCTIONS[name](_value(argument, values))
     raise AssertionError(node)

@@ -65,6 +65,7 @@ def status_in_flight(rig: RigConfig | None = None, **more: Any) -> dict[str, Any
         "share": 0.25,
         "left_s": 72.0,
         "recording": "",
+        "log_lost": "",
         "log": "/data/today/01-tilt.mcap",
         "log_folder": "/data/today",
         "recorder_restarts": 0,

@@ -177,6 +177,8 @@ def recorder_panel(view: View, status: Status, width: int, brief: bool = False) 
         lines += wrap(f"not recording: {status['recording']}", width, "bad", 2, 2)
     else:
         lines.append([*now, (f", {free}" if brief and free else "", "")])
+    if status.get("log_lost"):
+        lines += wrap(f"log: {status['log_lost']}", width, "bad", 2, 2)
     if free and (not brief or status["recording"]):
         text = f"disk {free} in "
         lines.append([(text, ""), (_end_of(status["log_folder"], width - len(text)), "dim")])

@@ -85,6 +85,24 @@ def open_new(path: Path | str) -> int:
         return os.open(path.name, _NEW, 0o666, dir_fd=folder)
 
 
+def empty_file(path: Path | str) -> None:
+    """Cut a file of this user to no bytes, in its place: this needs no room on a full disk.
+
+    Raises OSError, also for a link and for a file that has a second name.
+    """
+    path = Path(path)
+    with opened_folder(path.parent) as folder, _naming(path):
+        flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        descriptor = os.open(path.name, flags, 0o666, dir_fd=folder)
+        try:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode) or found.st_nlink != 1:
+                raise OSError(errno.EINVAL, "expected a file with one name")
+            os.ftruncate(descriptor, 0)
+        finally:
+            os.close(descriptor)
+
+
 def replace_link(path: Path | str, target: str) -> None:
     """Make `path` a link to `target`, and replace a file of that name; raises OSError."""
     path, new = Path(path), _random_name()

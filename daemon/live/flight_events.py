@@ -73,6 +73,8 @@ class FlightEvents:
         self._late_cycles(status["late"])
         if status["recording"] and status["recording"] != before.get("recording"):
             self.add(Level.ERROR, f"not recording: {status['recording']}")
+        if (lost := status.get("log_lost")) and lost != before.get("log_lost"):
+            self.add(Level.ERROR, f"log: {lost}")
         restarts = status["recorder_restarts"]
         if restarts > before.get("recorder_restarts", restarts):
             self.add(Level.WARNING, "the recorder was restarted")

@@ -22,7 +22,7 @@ _SHOWN_LARGE = {"rad": (1.0, "rad"), "m": (1e3, "mm")}
 _LARGE = 0.02
 _STATUS = (
     *("state", "cycle", "fault", "detail", "fault_log", "session", "step", "share"),
-    *("late", "stale", "lost", "recording", "recorder_restarts"),
+    *("late", "stale", "lost", "recording", "log_lost", "recorder_restarts"),
 )
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...config.files.atomic_write import write_file
+from ...config.files.atomic_write import empty_file, write_file
 from ...config.files.folders import make_folder
 from ...config.files.reading import read_json
 from ...config.rig import RigConfig
@@ -87,7 +87,7 @@ class HeatFile:
             consequence = ""
             if self._saved_is_colder(heat, now):
                 try:
-                    write_file(self._path, b"")  # needs no disk space; unreadable means unknown
+                    empty_file(self._path)  # needs no disk space; unreadable means unknown
                     self._saved = None
                 except OSError:
                     consequence = "; after a restart the daemon underestimates it"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
@@ -11,7 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...config.files.folders import make_folder
+from ...log.errors import LogError
 from ...log.writer import LogWriter
+from ..host.lost_log import Loss, LostLog, find_loss, save_deleted
 from ..ipc.row_ring import NO_LOG, Ring, RingRows
 
 BLOCK = 8192
@@ -37,6 +42,14 @@ class LogFile:
         return self.path if part == 1 else self.path.with_suffix(f".{part}{self.path.suffix}")
 
 
+def bring_back(path: Path, descriptor: int, _tag: int = NO_LOG) -> None:
+    """Copy a deleted log to its path again, and close its descriptor; raises OSError."""
+    try:
+        save_deleted(path, descriptor)
+    finally:
+        os.close(descriptor)
+
+
 @dataclass(frozen=True)
 class Rotation:
     """Limit the size of one file; the next part follows."""
@@ -46,22 +59,31 @@ class Rotation:
 
 
 class Event(StrEnum):
-    """Name what happened to a file: opened, closed completely, or failed."""
+    """Name what happened to a file: opened, closed completely, failed.
+
+    Deleted by somebody, and restored from the open file; lost: cut off, or no longer at its path.
+    """
 
     OPENED = "opened"
     CLOSED = "closed"
     FAILED = "failed"
+    DELETED = "deleted"
+    LOST = "lost"
+    RESTORED = "restored"
 
 
 Report = Callable[[Event, int, Path, str], None]
-"""Called with the event, the tag of the log, the file and the reason of a failure."""
+"""Called with the event, the tag of the log, the file and the reason of a failure or loss."""
+Save = Callable[[Path, int, int], None]
+"""Called with a deleted log, an open descriptor of it, to be closed, and the log's tag."""
 
 
 class LogRouter:
     """Write the rows of a ring as its only reader; `log_of` returns the log of a tag, or None.
 
     A disk error stops recording until `forget_errors`, but never the flight: `error` holds it, and
-    `dropped` counts the rows that were not recorded.
+    `dropped` counts the rows that were not recorded. A log that is deleted or cut off on the disk
+    continues in its next part; `save` brings a deleted one back.
     """
 
     def __init__(
@@ -71,9 +93,10 @@ class LogRouter:
         log_of: Callable[[int], LogFile | None],
         report: Report = lambda *_: None,
         rotation: Rotation | None = None,
+        save: Save = bring_back,
     ) -> None:
         self._ring, self._rate_hz, self._log_of, self._report = ring, rate_hz, log_of, report
-        self._rotation = rotation
+        self._rotation, self._save = rotation, save
         self._period_ns = 1e9 / rate_hz
         self.epoch_ns = 0
         self.error: Exception | None = None
@@ -85,6 +108,7 @@ class LogRouter:
         self._file: LogFile | None = None
         self._writer: LogWriter | None = None
         self._cut_off = False
+        self._moved: Path | None = None  # last log that was found moved
 
     @property
     def tag(self) -> int:
@@ -175,7 +199,39 @@ class LogRouter:
 
         self._guard(begin, 0, path)
 
+    def lose(self, lost: LostLog) -> None:
+        """Report what happened to the current file; continue in the next part if it is not whole.
+
+        Nothing happens if `lost` is another file.
+        """
+        writer = self._writer
+        if writer is None or writer.path != lost.path:
+            return
+        if lost.loss is Loss.MOVED:
+            if self._moved != lost.path:
+                self._moved = lost.path
+                self._report(Event.LOST, self._tag, lost.path, lost.words)
+            return
+
+        deleted = os.dup(writer.fileno()) if lost.loss is Loss.DELETED else -1
+        try:
+            writer.close()  # the last rows go to the file all the same: it is copied as it is now
+        except LogError:
+            self.dropped += writer.buffered
+        self._writer, self._full = None, True
+        event = Event.DELETED if deleted >= 0 else Event.LOST
+        self._report(event, self._tag, lost.path, lost.words)
+        if deleted >= 0:
+            with suppress(OSError):  # its folder was perhaps deleted with it
+                make_folder(lost.path.parent)
+            self._guard(lambda: self._save(lost.path, deleted, self._tag), 0, lost.path)
+
     def _close(self) -> None:
+        writer = self._writer
+        if writer is not None:
+            with suppress(OSError):
+                if lost := find_loss(writer.path, writer.fileno(), writer.size):
+                    self.lose(lost)
         writer = self._writer
         if writer is None:
             return

@@ -58,6 +58,7 @@ class RecorderLink:
         self.last_fault_log = ""  # last flight recording that was written
         self._log_failed = self._fault_failed = ""
         self._opened: Path | None = None  # last log opened since a flight recording failed
+        self.lost = ""  # what happened to a log of this flight on the disk
         self._unrecorded = ""  # fault whose flight recording was requested and is not confirmed
         self.restarts = -1
         self._pause_s, self._restart_s, self._started_s = _FIRST_PAUSE_S, 0.0, 0.0
@@ -105,7 +106,7 @@ class RecorderLink:
 
         The failure of a flight recording is kept until a recording or log is written.
         """
-        self._log_failed = ""
+        self._log_failed = self.lost = ""
         self._logs.clear()
         self.files.clear()
         self.failed.clear()
@@ -256,6 +257,22 @@ class RecorderLink:
             # Only a log opened since the failure shows that the disk works again.
             if path == self._opened and tag not in self.failed:
                 self._fault_failed = ""
+        elif message["event"] in (Event.DELETED, Event.LOST, Event.RESTORED):
+            self._lose(Event(message["event"]), tag, path, str(message["why"]))
         elif message["event"] == Event.FAILED and tag in self.files:
             self._log_failed = self.failed.setdefault(tag, str(message["why"]))
             self._log(f"recording stopped, the flight goes on: {message['why']}")
+
+    def _lose(self, event: Event, tag: int, path: Path, why: str) -> None:
+        """Process that a log was deleted, lost or restored while it was written."""
+        if event is Event.RESTORED and not why:
+            self._log(f"{path}: restored, with all rows before it was deleted")
+            files = self.files.get(tag, [])
+            if path not in files:  # another file had taken its place
+                files.append(path)
+            return
+        text = why if event is not Event.RESTORED else f"{path}: deleted, and not restored: {why}"
+        self._log(text)
+        self.lost = text
+        if event is not Event.DELETED and tag in self.files:
+            self.failed.setdefault(tag, text)

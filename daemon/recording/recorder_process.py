@@ -12,7 +12,7 @@ import socket
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from ...log.writer import BEGINNING
 from ..control.faults import Fault
 from ..host.child_process import receive_signals
 from ..host.fsync_worker import FsyncWorker
+from ..host.lost_log import LostLog, save_deleted
 from ..host.real_time_scheduling import set_process_name
 from ..ipc.json_lines import Closed, Lines
 from ..ipc.row_ring import NO_LOG
@@ -58,11 +59,12 @@ class RecorderProcess:
         self._failed = NO_LOG  # tag of the last log that could not be written
         self._requested: list[Fault] = []  # recordings that wait until the router is free
         self._switching = False  # the router is switching logs
+        self._restoring: list[int] = []  # tags of deleted logs that are being copied
         rotation = Rotation(
             int(rig.recording.rotate_mb * 1e6), int(rig.recording.rotate_s * rig.rate_hz)
         )
         self._router = LogRouter(
-            self._ring, rig.rate_hz, self._log_of, self._on_log_event, rotation
+            self._ring, rig.rate_hz, self._log_of, self._on_log_event, rotation, self._save
         )
         self._faults = FaultLog(
             self._ring,
@@ -99,7 +101,7 @@ class RecorderProcess:
                 words[Word.FAULTS_SEEN] = self._ring.tail
             self._sync()
             words[Word.DROPPED] = self._router.dropped
-            words[Word.WRITING] = self._router.tag
+            words[Word.WRITING] = self._writing
             words[Word.RECORDER_BEAT] += 1
             if self._ready_request and self._ring.waiting < BLOCK:
                 self._send({"event": "ready", "ready": self._ready_request})
@@ -119,10 +121,26 @@ class RecorderProcess:
         self._faults.finish()
         self._fsync_worker.finish(_SYNC_S)
         self._sync()
-        words[Word.WRITING] = self._router.tag
+        words[Word.WRITING] = self._writing
+
+    @property
+    def _writing(self) -> int:
+        """Tag of the log that is written, or restored after it was deleted."""
+        return next(iter(self._restoring), self._router.tag)
+
+    def _save(self, path: Path, descriptor: int, tag: int) -> None:
+        """Restore a deleted log in the thread: copying takes time, and rows keep coming."""
+        self._restoring.append(tag)
+        self._fsync_worker.run(path, lambda: _restored(path, descriptor, tag))
 
     def _sync(self) -> None:
         self._fsync_worker.sync_growing(self._router.writer)
+        for found in self._fsync_worker.found():
+            if isinstance(found, LostLog):
+                self._router.lose(found)
+            elif isinstance(found, _Restored):
+                self._restoring.remove(found.tag)
+                self._send_log_event(Event.RESTORED, found.tag, found.path, found.why)
         for path, why in self._fsync_worker.failures():
             if path in self._fault_logs:
                 self._send(
@@ -218,6 +236,24 @@ class RecorderProcess:
     def _send(self, message: Mapping[str, Any]) -> None:
         with contextlib.suppress(Closed):
             self._lines.put(message)
+
+
+@dataclass(frozen=True)
+class _Restored:
+    """The copy of a deleted log of a tag, or why there is none."""
+
+    tag: int
+    path: Path
+    why: str = ""
+
+
+def _restored(path: Path, descriptor: int, tag: int) -> _Restored:
+    try:
+        return _Restored(tag, save_deleted(path, descriptor))
+    except OSError as error:
+        return _Restored(tag, path, error.strerror or str(error))
+    finally:
+        os.close(descriptor)
 
 
 def without_empty_part(file: LogFile) -> LogFile:

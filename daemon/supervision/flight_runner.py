@@ -208,7 +208,9 @@ class JobRunner:
     def _report_progress(self, job: Job, now_s: float, step: str, share: float) -> None:
         if now_s - job.reported_s >= _PROGRESS_S:
             job.reported_s = now_s
-            job.reply.send({"step": step, "share": share})
+            problem = self._recorder.problem or self._recorder.lost
+            warning = {"warning": f"recording: {problem}"} if problem else {}
+            job.reply.send({"step": step, "share": share, **warning})
 
     def note_fault(self) -> None:
         """Store the fault of the current job: its client gets it even if it is cleared first."""

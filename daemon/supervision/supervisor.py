@@ -281,6 +281,7 @@ class Supervisor:
             "left_s": job_runner.left_s_of(job) if job else None,
             "clock_stepped_s": round(self._clock.stepped_s, 1),
             "recording": self.recorder.problem,
+            "log_lost": self.recorder.lost,
             "log": self.recorder.writing,
             "log_folder": self._present_log_folder,
             "recorder_restarts": max(self.recorder.restarts, 0),

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from ...config.files.atomic_write import write_file
 from ...config.files.reading import parse_json
@@ -107,14 +108,14 @@ def _known(path: Path) -> dict[str, RunSummary]:
     return found
 
 
-def _summary(plain: dict[str, object]) -> RunSummary:
+def _summary(plain: dict[str, Any]) -> RunSummary:
     """Return a summary from JSON data; raises ValueError, TypeError or KeyError for other data."""
     values = {field.name: plain[field.name] for field in fields(RunSummary)}
+    kinds = {"str": (str,), "bool": (bool,), "int": (int,), "float": (int, float)}
     for field in fields(RunSummary):
-        kinds = {"str": (str,), "bool": (bool,), "int": (int,), "float": (int, float)}
         if not isinstance(values[field.name], kinds[str(field.type)]):
             raise TypeError(field.name)
-    summary = RunSummary(**values)  # type: ignore[arg-type] - just checked
+    summary = RunSummary(**values)
     if datetime.fromisoformat(summary.flown).tzinfo is None:
         raise ValueError(summary.flown)
     return summary

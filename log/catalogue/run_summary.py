@@ -90,7 +90,7 @@ def summarise_run(folder: str, logs: Sequence[Path]) -> RunSummary:
         incomplete=sum(log.incomplete for log in found),
         unflown=unflown_steps([log.metadata for log in found]),
         unreadable=unreadable,
-        bytes=sum(found.st_size for path in logs if (found := _status(path))),
+        bytes=sum(status.st_size for status in map(_status, logs) if status is not None),
         levid="" if first is None else first.levid,
         state=state_of(logs),
     )

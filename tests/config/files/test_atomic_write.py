@@ -12,7 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from levid.config.files.atomic_write import atomic_file, open_new, replace_link, write_file
+from levid.config.files.atomic_write import (
+    atomic_file,
+    empty_file,
+    open_new,
+    replace_link,
+    write_file,
+)
 
 
 @pytest.fixture(params=["unnamed", "named", "named_without_hard_links"])
@@ -217,3 +223,17 @@ def test_temporary_name_is_never_the_same(tmp_path: Path) -> None:
         with atomic_file(tmp_path / "x"):
             names += [path.name for path in tmp_path.iterdir() if path.name != "x"]
     assert len(set(names)) == len(names)
+
+
+def test_file_is_emptied_in_its_place_but_not_through_a_second_name(tmp_path: Path) -> None:
+    path, victim = tmp_path / "heat.json", tmp_path / "victim"
+    path.write_text("old")
+    empty_file(path)
+    assert path.read_bytes() == b""
+    victim.write_text("precious")
+    for plant in (Path.symlink_to, Path.hardlink_to):
+        path.unlink()
+        plant(path, victim)
+        with pytest.raises(OSError, match=r"symbolic links|one name"):
+            empty_file(path)
+    assert victim.read_text() == "precious"

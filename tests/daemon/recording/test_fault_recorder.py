@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from levid.config.daemon_settings import Recording
+from levid.config.files.atomic_write import open_new
 from levid.daemon.control.faults import Fault
 from levid.daemon.ipc.row_ring import Ring
 from levid.daemon.recording.fault_recorder import NO_ROWS, FaultLog
@@ -49,7 +50,6 @@ def test_clock_set_back_removes_no_new_flight_recording(tmp_path: Path) -> None:
 
 def full_disk(monkeypatch: pytest.MonkeyPatch, room: Callable[[], int], code: int = ENOSPC) -> None:
     """Let writing to a log fail beyond `room()` bytes."""
-    opened = Path.open
 
     class Full(io.FileIO):
         def write(self, data: Any) -> int:
@@ -57,10 +57,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, room: Callable[[], int], code: in
                 raise OSError(code, os.strerror(code))
             return super().write(data)
 
-    def begin(path: Path, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
-        return Full(path, mode) if mode == "xb" else opened(path, mode, *args, **kwargs)
-
-    monkeypatch.setattr(Path, "open", begin)
+    monkeypatch.setattr("levid.log.writer._new_file", lambda path: Full(open_new(path), "wb"))
 
 
 def kept_faults(

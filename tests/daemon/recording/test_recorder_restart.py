@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import socket
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,12 +12,12 @@ import numpy as np
 import pytest
 from mcap.records import Header
 from mcap.writer import MCAP0_MAGIC
+from recorder_in_thread import METADATA, Recording
 from waiting import wait_until
 
 from levid.config.rig import load_rig
 from levid.config.shipped import shipped
 from levid.daemon.control.faults import Fault
-from levid.daemon.ipc.json_lines import Lines
 from levid.daemon.ipc.row_ring import HUNG_S, Ring
 from levid.daemon.ipc.shared_memory import SharedMemory
 from levid.daemon.ipc.shared_status_words import Word
@@ -29,8 +27,6 @@ from levid.daemon.recording.recorder_process import RecorderProcess, without_emp
 from levid.log.reader import read_log
 from levid.log.signals import cycle_dtype
 from levid.log.writer import LogWriter, record_bytes
-
-METADATA = {"kind": "record", "name": "z"}
 
 
 def log(path: Path, rows: int) -> None:
@@ -84,66 +80,6 @@ def test_previous_part_without_rows_is_replaced(tmp_path: Path) -> None:
     log(file.path_of(2), 0)
     assert without_empty_part(file).part == 2
     assert not file.path_of(2).exists()
-
-
-class Recording:
-    """A recorder in a thread, and the supervisor's end of its conversation."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.rig = folder, load_rig(shipped("rigs/loopback.yaml"))
-        self.shared = SharedMemory(self.rig)
-        self.ours, self.theirs = socket.socketpair()
-        self._lines = Lines(self.ours, 1 << 20, 1 << 20)
-        self._thread: threading.Thread | None = None
-        self.events: list[dict[str, Any]] = []
-
-    def start(self) -> None:
-        """Start the recorder, which reads the rows and messages that are there."""
-        made = RecorderProcess(self.rig, self.shared, self.theirs, self.folder / "faults")
-        self._thread = threading.Thread(target=made.run, args=(os.getppid(),))
-        self._thread.start()
-
-    def finish(self) -> None:
-        """Have the recorder write what is left, and wait for its end."""
-        self.tell({"end": True})
-        assert self._thread is not None
-        self._thread.join(30.0)
-        assert not self._thread.is_alive()
-        self.event("")
-
-    def tell(self, *messages: dict[str, object]) -> None:
-        for message in messages:
-            self._lines.put(message)
-
-    def define(self, tag: int) -> None:
-        path = str(self.folder / f"{tag}.mcap")
-        file = {"path": path, "metadata": METADATA, "part": 1, "again": False}
-        self.tell({"log": tag, **file})
-
-    def write(self, *tags: int) -> None:
-        """Append rows with these tags."""
-        ring, count = self.shared.ring, len(tags)
-        ring.tags[ring.head : ring.head + count] = tags
-        ring.rows["cycle"][ring.head : ring.head + count] = range(ring.head, ring.head + count)
-        ring.head += count
-
-    def event(self, kind: str, **content: object) -> bool:
-        """Return whether the recorder has sent an event of this kind and content."""
-        while self._lines.receive():
-            self.events += map(json.loads, self._lines.lines())
-        wanted = {"event": kind, **content}
-        return any(wanted.items() <= event.items() for event in self.events)
-
-    def cycles(self, name: str) -> list[int]:
-        """Return the cycles in a log."""
-        return list(read_log(self.folder / name).rows["cycle"])
-
-    def close(self) -> None:
-        if self._thread is not None and self._thread.is_alive():
-            self.finish()
-        for end in (self.ours, self.theirs):
-            end.close()
-        self.shared.close()
 
 
 @pytest.fixture

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +35,8 @@ _LEAST_REPORTED = 1e-3
     "--rig",
     "rig_path",
     type=RIG,
-    help="RIG.yaml to check sessions against. Default: the shipped loopback rig.",
+    help="RIG.yaml to check sessions against. Default: the rig among FILES, else the shipped "
+    "loopback rig.",
 )
 @click.option(
     "--preflight",
@@ -73,6 +76,8 @@ def command(
 
     if before_flight:
         return _preflight(files, rig_path, out, as_json)
+    if rig_path is None:
+        rig_path = _only_rig(files)
     results = []
     for path in files:
         try:
@@ -113,6 +118,18 @@ def _preflight(
         raise click.UsageError(f"--preflight: expected one rig, found {len(rigs)}")
     rig = rigs[0] if rigs else shipped("rigs/loopback.yaml")
     return preflight(rig, sessions, out, as_json)
+
+
+def _only_rig(files: Sequence[Path]) -> Path | None:
+    """Return the rig among files if there is just one; other mistakes are reported later."""
+    from ..config.base import ConfigError, read_mapping
+
+    rigs = []
+    for path in files if len(files) > 1 else ():
+        if path.suffix != ".mcap":
+            with contextlib.suppress(ConfigError):
+                rigs += [path] if read_mapping(path).get("levid") == "rig" else []
+    return rigs[0] if len(rigs) == 1 else None
 
 
 def _check(path: Path, rig_path: Path | None) -> str:
@@ -186,7 +203,21 @@ def _rig(rig: RigConfig, path: Path) -> str:
     coils = f"{len(rig.geometry.coil_x_m)} coils"
     whole = with_model(rig, path)
     forces, margin = _feed_forward(whole, path), _loop(whole, path)
+    _plausibility(whole, path)
     return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {forces}{margin}"
+
+
+def _plausibility(rig: RigConfig, path: Path) -> None:
+    """Print what is implausible about a rig; raise ConfigError if it cannot fly."""
+    from ..config.base import ConfigError
+    from ..daemon.planning.rig_plausibility import rig_problems
+
+    problems = rig_problems(rig)
+    for problem in problems:
+        if not problem.fatal:
+            click.echo(f"{path}: warning: {problem}", err=True)
+    if fatal := [f"{path}: {problem}" for problem in problems if problem.fatal]:
+        raise ConfigError("\n".join(fatal))
 
 
 def _loop(rig: RigConfig, path: Path) -> str:
@@ -237,6 +268,7 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
     from ..config.shipped import shipped
     from ..daemon.planning.plan import MOST_CYCLES, plan_session
     from ..daemon.planning.planner import least_cycles
+    from ..daemon.planning.session_plausibility import session_problems
 
     rig = load_rig(rig_path or shipped("rigs/loopback.yaml"))
     rate_hz = config.rate_hz or rig.rate_hz
@@ -246,8 +278,12 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
             f"{path}: steps: expected a total of at most {MOST_CYCLES / rate_hz:g} s at "
             f"{rate_hz:g} Hz, found {least / rate_hz:g} s; fly several sessions"
         )
-    with counted_progress(f"checking {path.name}", least) as report:
+    # The session is computed twice: its peak, then its motion.
+    with counted_progress(f"checking {path.name}", 2 * least) as report:
         plan = plan_session(config, rig, source=str(path), report=report)
+        excess = session_problems(rig, plan, report)
+    if excess:
+        raise ConfigError("\n".join(f"{path}: on rig {rig.name}: {line}" for line in excess))
     records = sum(step.kind == "record" for step in plan.steps)
     return (
         f"session, {len(plan.steps)} steps, {records} record{'s' * (records != 1)}, "

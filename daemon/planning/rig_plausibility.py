@@ -6,7 +6,7 @@ was expected and the likely slip of the unit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,8 @@ _FORCE_MARGIN = 1.1
 """Coil force limit over the force at rest: below, nothing is left to control with."""
 _LEAST_STIFFNESS = 0.01
 """Stiffness of a controller over that of the rods, below which the rods alone hold the platform."""
+_LEAST_MOVING = 1e-3
+"""Share of the weight that any loop holds within gap_m by its stiffness alone."""
 _PERIODS = 10.0
 """Shortest integral time kp / ki in periods: below, the proportional part has no effect."""
 _SWING_S = 0.2
@@ -63,7 +65,11 @@ def rig_problems(rig: RigConfig) -> list[Problem]:
     law = feed_forward(rig, 1.0 / rig.rate_hz)
     found = [*_geometry(rig), *_forces(rig, law), *_beam(rig), *_gaps(rig)]
     if isinstance(rig.model, ModelConfig):
-        found += [*_inertia(rig, rig.model), *_gains(rig, rig.model), *_hold(rig, law)]
+        at = declared_model(rig.model).at()
+        stiffness = np.diag(np.linalg.solve(at.B, at.K)).tolist()
+        found += [*_inertia(rig, at.M), *_gains(rig, law, stiffness), *_hold(rig, law)]
+    elif rig.feedforward is not None:
+        found += _gains(rig, law, [np.nan, np.nan, rig.feedforward.rods_n_m])
     return sorted(found, key=lambda problem: not problem.fatal)
 
 
@@ -197,9 +203,8 @@ def _gaps(rig: RigConfig) -> Iterator[Problem]:
         )
 
 
-def _inertia(rig: RigConfig, config: ModelConfig) -> Iterator[Problem]:
+def _inertia(rig: RigConfig, M: Array) -> Iterator[Problem]:
     """Compare the radii of gyration of the model with the coils' arms."""
-    M = declared_model(config).at().M
     place = rig.geometry
     for k, (dof, arms) in enumerate(zip(_DOF, (place.coil_y_m, place.coil_x_m), strict=False)):
         radius = float(np.sqrt(max(M[k, k] / M[2, 2], 0.0)))
@@ -213,27 +218,36 @@ def _inertia(rig: RigConfig, config: ModelConfig) -> Iterator[Problem]:
             )
 
 
-def _gains(rig: RigConfig, config: ModelConfig) -> Iterator[Problem]:
-    """Compare the gains with the stiffness of the model and with the period."""
-    at = declared_model(config).at()
-    stiffness = np.diag(np.linalg.solve(at.B, at.K))
+def _gains(rig: RigConfig, law: FeedForwardLaw, stiffness: Sequence[float]) -> Iterator[Problem]:
+    """Compare the gains with the stiffness of the rods, the weight and the period."""
     control = rig.control
+    moved_n = _LEAST_MOVING * float(abs(law.wrench(np.zeros((1, 3)))[0, 2]))
+    soft = (control.kp[2] + stiffness[2]) * rig.limits.gap_m
+    if 0.0 < soft < moved_n:
+        yield Problem(
+            "control.z.kp_n_m",
+            f"found {control.kp[2]:g} with rods of {stiffness[2]:.3g} N/m: {soft:.2g} N, less than "
+            f"{100.0 * _LEAST_MOVING:g} % of the weight, moves the platform by gap_m; is it in "
+            "N/mm?",
+        )
     for dof, kp_key, ki_key, kp, ki, rods in zip(
-        _DOF, _KP, _KI, control.kp, control.ki, stiffness.tolist(), strict=True
+        _DOF, _KP, _KI, control.kp, control.ki, stiffness, strict=True
     ):
         key, slip = f"control.{dof}.{kp_key}", "N/mm" if dof == "z" else "N m/mrad"
-        if kp + rods <= 0.0 or (kp == 0.0 and ki == 0.0):
+        if kp + rods <= 0.0:
             yield Problem(
                 key,
-                f"found {kp:g} with a stiffness of the model of {rods:.3g}: no controller holds "
-                f"{dof}; expected a gain above {max(-rods, 0.0):.3g}",
-                fatal=kp + rods <= 0.0,
+                f"found {kp:g} with rods of {rods:.3g}: nothing holds {dof}; expected a gain above "
+                f"{-rods:.3g}",
+                fatal=True,
             )
+        elif kp == 0.0 and ki == 0.0:
+            yield Problem(key, f"found 0 and {ki_key} 0: no controller holds {dof}")
         elif 0.0 < kp < _LEAST_STIFFNESS * rods:
             yield Problem(
                 key,
-                f"found {kp:g}, {100.0 * kp / rods:.2g} % of the rods' stiffness in the model, "
-                f"{rods:.3g}: the rods alone hold {dof}; is it in {slip}?",
+                f"found {kp:g}, {100.0 * kp / rods:.2g} % of the rods' stiffness, {rods:.3g}: the "
+                f"rods alone hold {dof}; is it in {slip}?",
             )
         if ki > 0.0 and kp * rig.rate_hz < _PERIODS * ki:
             yield Problem(

@@ -110,6 +110,16 @@ def test_triangle_of_three_coils_and_sensors_gets_no_warning() -> None:
     assert [str(p) for p in rig_problems(parse(rig, RigConfig, "rig.yaml"))] == []
 
 
+@pytest.mark.parametrize(("kp", "rods"), [(0.5, 0.0), (0.5, 2600.0), (0.0, 0.0)])
+def test_gain_too_weak_to_hold_is_said_without_a_model_too(kp: float, rods: float) -> None:
+    rig = changed("control.z.kp_n_m", kp)
+    rig["feedforward"] = {"mass_kg": 5.6, "beam_mass_kg": 1.4, "rods_n_m": rods}
+    del rig["model"]
+    problems = rig_problems(parse(rig, RigConfig, "rig.yaml"))
+    assert "control.z.kp_n_m" in {problem.key for problem in problems}
+    assert problems[0].fatal == (kp == 0.0)
+
+
 MM = [1e3 * x for x in RIG["geometry"]["coil_x_m"]]
 WRONG = {
     "geometry.coil_x_m": (MM, "do you mean 0.12 m"),
@@ -148,7 +158,6 @@ def test_slip_of_a_unit_is_said_with_its_key(path: str) -> None:
     [
         ("J_psi", 1e6, "radius of gyration"),
         ("m_p", 1e3, "carrying the platform"),
-        ("m_p", 1e-3, ""),
     ],
 )
 def test_model_in_other_units_than_the_rig_is_said(name: str, factor: float, words: str) -> None:

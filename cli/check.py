@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..config.rig import RigConfig
     from ..config.session import SessionConfig
     from ..config.sim import SimConfig
+    from ..daemon.planning.rig_plausibility import Problem
     from ..model.effects.base import Places
 
 
@@ -180,9 +181,11 @@ def _periods(rows: NDArray[np.void]) -> int:
 
 
 def _rig(rig: RigConfig, path: Path) -> str:
-    from ..config.base import ConfigError
+    from ..config.base import ConfigError, load_yaml
     from ..config.rig import with_model
+    from ..config.sim import SimConfig
     from ..daemon.control.watchdog_times import expiry_warning
+    from ..daemon.planning.rig_plausibility import rig_problems
     from ..drivers.base import Context
     from ..drivers.open_backends import check_backends
     from ..model.geometry import GeometryError, decoupling_matrix
@@ -203,20 +206,20 @@ def _rig(rig: RigConfig, path: Path) -> str:
     coils = f"{len(rig.geometry.coil_x_m)} coils"
     whole = with_model(rig, path)
     forces, margin = _feed_forward(whole, path), _loop(whole, path)
-    _plausibility(whole, path)
+    sim = None if rig.sim is None else path.parent / rig.sim
+    simulator = load_yaml(sim, SimConfig) if sim is not None and sim.exists() else None
+    _report(rig_problems(whole, simulator), str(path))
     return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {forces}{margin}"
 
 
-def _plausibility(rig: RigConfig, path: Path) -> None:
-    """Print what is implausible about a rig; raise ConfigError if it cannot fly."""
+def _report(problems: Sequence[Problem], where: str) -> None:
+    """Print what is implausible; raise ConfigError if it cannot fly."""
     from ..config.base import ConfigError
-    from ..daemon.planning.rig_plausibility import rig_problems
 
-    problems = rig_problems(rig)
     for problem in problems:
         if not problem.fatal:
-            click.echo(f"{path}: warning: {problem}", err=True)
-    if fatal := [f"{path}: {problem}" for problem in problems if problem.fatal]:
+            click.echo(f"{where}: warning: {problem}", err=True)
+    if fatal := [f"{where}: {problem}" for problem in problems if problem.fatal]:
         raise ConfigError("\n".join(fatal))
 
 
@@ -281,9 +284,8 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
     # The session is computed twice: its peak, then its motion.
     with counted_progress(f"checking {path.name}", 2 * least) as report:
         plan = plan_session(config, rig, source=str(path), report=report)
-        excess = session_problems(rig, plan, report)
-    if excess:
-        raise ConfigError("\n".join(f"{path}: on rig {rig.name}: {line}" for line in excess))
+        problems = session_problems(config, rig, plan, report)
+    _report(problems, f"{path}: on rig {rig.name}")
     records = sum(step.kind == "record" for step in plan.steps)
     return (
         f"session, {len(plan.steps)} steps, {records} record{'s' * (records != 1)}, "

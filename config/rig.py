@@ -24,6 +24,7 @@ from .buses import Bus, CanBus, RoleOptions, SerialBus
 from .daemon_settings import Live, Realtime, Recording, SelfTest, Service
 from .escaping import MOST_NAME
 from .model import ModelConfig, load_model
+from .units import position_slip
 
 
 def _not_near_zero(value: float) -> float:
@@ -41,8 +42,6 @@ Scale = Annotated[
     AfterValidator(_not_near_zero),
 ]
 _LEAST_PERIODS = 3
-_LARGEST_ARM_M, _LEAST_ARM_M = 10.0, 1e-3
-"""Distances of the outermost coil or sensor from the centre that no platform exceeds."""
 _SMALL_ANGLE = 0.1
 """rad, where a sine is 0.2 % off: the platform's equations are linear in its angles."""
 Name = Annotated[str, Field(max_length=MOST_NAME, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
@@ -68,21 +67,9 @@ class Geometry(Strict):
     @model_validator(mode="after")
     def _in_metres(self) -> Self:
         for what in ("coil", "sensor"):
-            found = {key: getattr(self, key) for key in (f"{what}_x_m", f"{what}_y_m")}
-            for key, values in found.items():
-                far = max(map(abs, values), default=0.0)
-                if far > _LARGEST_ARM_M:
-                    slip = f"; do you mean {far / 1e3:g} m?" if far <= 1e3 * _LARGEST_ARM_M else ""
-                    raise ValueError(
-                        f"{key}: expected positions within +-{_LARGEST_ARM_M:g} m of the centre, "
-                        f"found {far:g} m{slip}"
-                    )
-            far = max(map(abs, (x for values in found.values() for x in values)), default=1.0)
-            if far < _LEAST_ARM_M:
-                raise ValueError(
-                    f"{what}_x_m: expected positions up to {_LEAST_ARM_M:g} m or more from the "
-                    f"centre, found {far:g} m; is it in m?"
-                )
+            keys = f"{what}_x_m", f"{what}_y_m"
+            if slip := position_slip({key: getattr(self, key) for key in keys}):
+                raise ValueError(slip)
         return self
 
     @property

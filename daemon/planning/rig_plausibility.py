@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...config.model import ModelConfig
 from ...config.rig import RigConfig
 from ...config.session import Levitate
+from ...config.sim import SimConfig
 from ...identification.greybox.declared_model_from_config import declared_model
 from ...identification.subspace.simulation import Simulation
 from ...model.geometry import decoupling_matrix, shape_matrix
@@ -23,6 +24,9 @@ from .predicted_motion import loop_from_wrench
 
 Array = NDArray[np.float64]
 
+_G_M_S2 = 9.81
+_UNLIKE_WEIGHT = 2.0
+"""Factor between declared and simulated weight above which one of them is wrong."""
 _DOF = ("psi", "theta", "z")
 _KP, _KI = ("kp_n_m_rad", "kp_n_m_rad", "kp_n_m"), ("ki_n_m_rad_s", "ki_n_m_rad_s", "ki_n_m_s")
 _UNUSUAL = 5.0
@@ -56,8 +60,8 @@ class Problem:
         return f"{self.key}: {self.text}"
 
 
-def rig_problems(rig: RigConfig) -> list[Problem]:
-    """Return what is implausible about a rig with its model, errors first.
+def rig_problems(rig: RigConfig, sim: SimConfig | None = None) -> list[Problem]:
+    """Return what is implausible about a rig with its model and simulator, errors first.
 
     Raises:
         ConfigError: the model does not fit the rig.
@@ -68,7 +72,9 @@ def rig_problems(rig: RigConfig) -> list[Problem]:
         at = declared_model(rig.model).at()
         stiffness = np.diag(np.linalg.solve(at.B, at.K)).tolist()
         found += [*_inertia(rig, at.M), *_gains(rig, law, stiffness), *_hold(rig, law)]
-    elif rig.feedforward is not None:
+    if sim is not None:
+        found += _simulator(rig, law, sim)
+    if rig.feedforward is not None:
         found += _gains(rig, law, [np.nan, np.nan, rig.feedforward.rods_n_m])
     return sorted(found, key=lambda problem: not problem.fatal)
 
@@ -151,6 +157,13 @@ def _forces(rig: RigConfig, law: FeedForwardLaw) -> Iterator[Problem]:
             f"expected at most coil_n, {limits.coil_n:g} N, found {limits.coil_rms_n:g} N, which "
             "is never reached",
         )
+    moving_n = float(np.abs(law.wrench(beam_at_limits(rig)) @ T).max())
+    if moving_n > limits.coil_n >= beside_n * _FORCE_MARGIN:
+        yield Problem(
+            "limits.beam_acceleration_m_s2",
+            f"with the beam at its limits of position, speed and acceleration a coil needs "
+            f"{moving_n:.3g} N, more than coil_n, {limits.coil_n:g} N",
+        )
     if beside_n * _FORCE_MARGIN > limits.coil_n:
         yield Problem(
             "limits.coil_n",
@@ -200,6 +213,32 @@ def _gaps(rig: RigConfig) -> Iterator[Problem]:
             "limits.gap_m",
             f"expected more than self_test.still_m, {rig.self_test.still_m:g} m, which a platform "
             f"at rest may move, found {limits.gap_m:g} m; is it in m?",
+        )
+
+
+def _simulator(rig: RigConfig, law: FeedForwardLaw, sim: SimConfig) -> Iterator[Problem]:
+    """Compare the rig with the simulated plant that it flies on."""
+    weight_n = float(law.wrench(np.zeros((1, 3)))[0, 2])
+    true_n = _G_M_S2 * (sim.platform.m_p_kg + sim.beam.m_b_kg)
+    if not weight_n / _UNLIKE_WEIGHT <= true_n <= weight_n * _UNLIKE_WEIGHT:
+        yield Problem(
+            "sim",
+            f"the simulated platform weighs {true_n:.3g} N, the declared one {weight_n:.3g} N; "
+            "check the masses and their units",
+        )
+    if rig.limits.gap_m > sim.end_stops.travel_m:
+        yield Problem(
+            "limits.gap_m",
+            f"found {rig.limits.gap_m:g} m, beyond the simulated end stops at "
+            f"{sim.end_stops.travel_m:g} m: the platform touches them before the fault GAP",
+        )
+    needed_n = true_n / sim.geometry.n_coils
+    if needed_n > sim.coils.limit_n:
+        yield Problem(
+            "sim: coils.limit_n",
+            f"expected at least {needed_n:.3g} N, which carries the simulated platform, found "
+            f"{sim.coils.limit_n:g} N",
+            fatal=True,
         )
 
 

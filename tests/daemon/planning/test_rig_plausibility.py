@@ -78,11 +78,11 @@ def said(rig: dict[str, Any], model: dict[str, Any] = MODEL) -> str:
         return str(error)
 
 
-def written(folder: Path, rig: dict[str, Any]) -> Path:
+def written(folder: Path, rig: dict[str, Any], **others: str) -> Path:
     """Write a rig that names the shipped model and simulator; return its file."""
     named = {key: str(shipped(f"rigs/{RIG[key]}").resolve()) for key in ("model", "sim")}
     file = folder / "rig.yaml"
-    file.write_text(yaml.safe_dump(rig | named))
+    file.write_text(yaml.safe_dump(rig | named | others))
     return file
 
 
@@ -188,6 +188,44 @@ def test_check_prints_the_slip_and_fails_only_if_the_rig_cannot_fly(
         key = path.rpartition(".")[2]
         assert key in err
         assert len(err) < 1000
+
+
+def test_rig_and_its_simulator_in_different_units_are_said(levid: Command, tmp_path: Path) -> None:
+    rig_file = written(tmp_path, RIG, sim="sim.yaml")
+    sim_file = tmp_path / "sim.yaml"
+    sim = yaml.safe_load(shipped("sims/nominal.yaml").read_text())
+    for path, value, code, words in (
+        (("platform", "m_p_kg"), 5600.0, 1, "sim: coils.limit_n"),
+        (("platform", "m_p_kg"), 0.056, 0, "warning: sim: the simulated platform weighs"),
+        (("end_stops", "travel_m"), 0.0005, 0, "warning: limits.gap_m"),
+        (("geometry", "coil_x_m"), MM, 1, "do you mean 0.12 m"),
+    ):
+        other = yaml.safe_load(yaml.safe_dump(sim))
+        other[path[0]][path[1]] = value
+        sim_file.write_text(yaml.safe_dump(other))
+        rig_file.write_text(
+            yaml.safe_dump(yaml.safe_load(rig_file.read_text()) | {"sim": "sim.yaml"})
+        )
+        found, _, err = levid("check", rig_file)
+        assert found == code, err
+        assert words in err
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        ("levitate: {ramp_s: 0.005}", "steps[0].levitate.ramp_s: expected"),
+        ("levitate: {ramp_s: 1500}", "warning: steps[0].levitate.ramp_s: found 1500 s"),
+    ],
+)
+def test_lift_off_in_other_units_is_said(
+    step: str, words: str, levid: Command, tmp_path: Path
+) -> None:
+    file = tmp_path / "session.yaml"
+    file.write_text(SESSION.replace("LEVEL", "0.05").replace("levitate: {}", step))
+    code, _, err = levid("check", file)
+    assert words in err
+    assert (code == 0) == ("warning" in words)
 
 
 SESSION = """

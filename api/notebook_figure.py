@@ -7,6 +7,8 @@ from types import MethodType
 
 from matplotlib.figure import Figure
 
+from ..report.plotting.figure_to_svg import escape_texts
+
 _DPI = 110
 
 
@@ -19,5 +21,6 @@ def shown(figure: Figure) -> Figure:
 
 def _png(figure: Figure) -> bytes:
     page = io.BytesIO()
+    escape_texts(figure)
     figure.savefig(page, format="png", dpi=_DPI)
     return page.getvalue()

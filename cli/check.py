@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from ..config.rig import RigConfig
     from ..config.session import SessionConfig
     from ..config.sim import SimConfig
+    from ..daemon.planning.rig_plausibility import Problem
     from ..model.effects.base import Places
 
 
@@ -33,7 +36,8 @@ _LEAST_REPORTED = 1e-3
     "--rig",
     "rig_path",
     type=RIG,
-    help="RIG.yaml to check sessions against. Default: the shipped loopback rig.",
+    help="RIG.yaml to check sessions against. Default: the rig among FILES, else the shipped "
+    "loopback rig.",
 )
 @click.option(
     "--preflight",
@@ -73,6 +77,8 @@ def command(
 
     if before_flight:
         return _preflight(files, rig_path, out, as_json)
+    if rig_path is None:
+        rig_path = _only_rig(files)
     results = []
     for path in files:
         try:
@@ -114,6 +120,18 @@ def _preflight(
         raise click.UsageError(f"--preflight: expected one rig, found {len(rigs)}")
     rig = rigs[0] if rigs else shipped("rigs/loopback.yaml")
     return preflight(rig, sessions, out, as_json)
+
+
+def _only_rig(files: Sequence[Path]) -> Path | None:
+    """Return the rig among files if there is just one; other mistakes are reported later."""
+    from ..config.base import ConfigError, read_mapping
+
+    rigs = []
+    for path in files if len(files) > 1 else ():
+        if path.suffix != ".mcap":
+            with contextlib.suppress(ConfigError):
+                rigs += [path] if read_mapping(path).get("levid") == "rig" else []
+    return rigs[0] if len(rigs) == 1 else None
 
 
 def _check(path: Path, rig_path: Path | None) -> str:
@@ -164,11 +182,13 @@ def _periods(rows: NDArray[np.void]) -> int:
 
 
 def _rig(rig: RigConfig, path: Path) -> str:
-    from ..config.base import ConfigError
+    from ..config.base import ConfigError, load_yaml
     from ..config.rig import with_model
+    from ..config.sim import SimConfig
     from ..daemon.control.sensor_limits import standing_text, standing_warning, undetectable
     from ..daemon.control.watchdog_times import expiry_warning
     from ..daemon.control.zero_force import NOT_READ_BACK
+    from ..daemon.planning.rig_plausibility import rig_problems
     from ..drivers.base import Context
     from ..drivers.open_backends import check_backends, gap_step_m, reads_back
     from ..model.geometry import GeometryError, decoupling_matrix
@@ -194,21 +214,16 @@ def _rig(rig: RigConfig, path: Path) -> str:
     whole = with_model(rig, path)
     _warn_of_coil_check(whole, path)
     forces, margin = _feed_forward(whole, path), _loop(whole, path)
-    noisy = standing_warning(whole, context.period_s, step_m, _simulated_noise_m(rig, path))
+    sim = None if rig.sim is None else path.parent / rig.sim
+    simulator = load_yaml(sim, SimConfig) if sim is not None and sim.exists() else None
+    _report(rig_problems(whole, simulator), str(path))
+    loopback = simulator if rig.sensors.backend == "loopback" else None
+    noise_m = None if loopback is None else loopback.sensors.noise_m
+    noisy = standing_warning(whole, context.period_s, step_m, noise_m)
     for warning in filter(None, (*undetectable(rig), noisy)):
         click.echo(f"{path}: warning: {warning}", err=True)
     stands = standing_text(whole, context.period_s, step_m)
     return f"rig, {coils}, {rig.rate_hz:g} Hz{bus_rate}; {forces}{margin}; {stands}"
-
-
-def _simulated_noise_m(rig: RigConfig, path: Path) -> float | None:
-    """Return the noise of the simulated sensors of a rig on loopback, else None."""
-    from ..config.base import load_yaml
-    from ..config.sim import SimConfig
-
-    if rig.sim is None or rig.sensors.backend != "loopback":
-        return None
-    return load_yaml(path.parent / rig.sim, SimConfig).sensors.noise_m
 
 
 def _warn_of_coil_check(rig: RigConfig, path: Path) -> None:
@@ -221,6 +236,17 @@ def _warn_of_coil_check(rig: RigConfig, path: Path) -> None:
         plan_steps([Step(levitate=Levitate())], "levitate", rig, 0.0, 0.0, CoilCheck())
     except ConfigError as error:
         click.echo(f"{path}: warning: no coil check after lift-off: {error}", err=True)
+
+
+def _report(problems: Sequence[Problem], where: str) -> None:
+    """Print what is implausible; raise ConfigError if it cannot fly."""
+    from ..config.base import ConfigError
+
+    for problem in problems:
+        if not problem.fatal:
+            click.echo(f"{where}: warning: {problem}", err=True)
+    if fatal := [f"{where}: {problem}" for problem in problems if problem.fatal]:
+        raise ConfigError("\n".join(fatal))
 
 
 def _loop(rig: RigConfig, path: Path) -> str:
@@ -271,6 +297,7 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
     from ..config.shipped import shipped
     from ..daemon.planning.plan import MOST_CYCLES, plan_session
     from ..daemon.planning.planner import least_cycles
+    from ..daemon.planning.session_plausibility import session_problems
 
     rig = load_rig(rig_path or shipped("rigs/loopback.yaml"))
     rate_hz = config.rate_hz or rig.rate_hz
@@ -280,8 +307,11 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
             f"{path}: steps: expected a total of at most {MOST_CYCLES / rate_hz:g} s at "
             f"{rate_hz:g} Hz, found {least / rate_hz:g} s; fly several sessions"
         )
-    with counted_progress(f"checking {path.name}", least) as report:
+    # The session is computed twice: its peak, then its motion.
+    with counted_progress(f"checking {path.name}", 2 * least) as report:
         plan = plan_session(config, rig, source=str(path), report=report)
+        problems = session_problems(config, rig, plan, report)
+    _report(problems, f"{path}: on rig {rig.name}")
     records = sum(step.kind == "record" for step in plan.steps)
     return (
         f"session, {len(plan.steps)} steps, {records} record{'s' * (records != 1)}, "

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..config.escaping import one_line
 from .info import fault_name
 from .path_types import FOLDER
 from .progress import progress, say
@@ -105,7 +106,7 @@ def _lines(folder: Path, runs: Sequence[Run]) -> list[str]:
             seen.add(result.command)
             if not again:
                 lines.append(f"    {result.command}: {result.outcome}")
-                lines.append(f"      {folder / result.path}")
+                lines.append(f"      {one_line(str(folder / result.path))}")
         older = len(run.results) - len(seen)
         if older:
             lines.append(f"    and {older} older result{'s' * (older > 1)}")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..config.escaping import one_line
+
 
 def text_table(
     head: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()
@@ -13,7 +15,7 @@ def text_table(
     right: numbers of the columns that are aligned right.
     """
     shown = [i for i in range(len(head)) if any(row[i] for row in rows)]
-    cells = [[row[i] for i in shown] for row in (head, *rows)]
+    cells = [[one_line(row[i]) for i in shown] for row in (head, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(shown))]
     lines = []
     for row in cells:

@@ -25,6 +25,7 @@ from .daemon_settings import Live, Realtime, Recording, SelfTest, Service
 from .escaping import MOST_NAME
 from .model import ModelConfig, load_model
 from .shipped import find_file
+from .units import position_slip
 
 
 def _not_near_zero(value: float) -> float:
@@ -62,6 +63,14 @@ class Geometry(Strict):
             nx, ny = len(getattr(self, f"{what}_x_m")), len(getattr(self, f"{what}_y_m"))
             if nx != ny:
                 raise ValueError(f"expected as many {what}_x_m as {what}_y_m, found {nx} and {ny}")
+        return self
+
+    @model_validator(mode="after")
+    def _in_metres(self) -> Self:
+        for what in ("coil", "sensor"):
+            keys = f"{what}_x_m", f"{what}_y_m"
+            if slip := position_slip({key: getattr(self, key) for key in keys}):
+                raise ValueError(slip)
         return self
 
     @property

@@ -8,6 +8,7 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from .base import Finite, NonNegative, Positive, Strict
 from .error_messages import quoted
+from .units import position_slip
 
 Vector3 = tuple[Finite, Finite, Finite]
 
@@ -95,6 +96,16 @@ class SimGeometry(Strict):
     def sensor_y(self) -> tuple[float, ...]:
         """Return the sensors' y (S,), m."""
         return self.coil_y_m if self.sensor_y_m is None else self.sensor_y_m
+
+    @model_validator(mode="after")
+    def _in_metres(self) -> Self:
+        for what, x, y in (
+            ("coil", self.coil_x_m, self.coil_y_m),
+            ("sensor", self.sensor_x, self.sensor_y),
+        ):
+            if slip := position_slip({f"{what}_x_m": x, f"{what}_y_m": y}):
+                raise ValueError(slip)
+        return self
 
     @model_validator(mode="after")
     def _reaches_three_dof(self) -> Self:

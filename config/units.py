@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 _BASES: dict[str, tuple[float, str]] = {
@@ -45,6 +46,32 @@ _OTHERS: dict[str, tuple[float, str]] = {
 _PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
 _SPELLINGS = {"µ": "u", "μ": "u", "°": "deg", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "}
 _FACTOR = re.compile(r"([A-Za-z%]+|1|-)\^?([23]?)")
+
+
+_LARGEST_ARM_M, _LEAST_ARM_M = 10.0, 1e-3
+"""Distances of the outermost coil or sensor from the centre that no platform exceeds."""
+
+
+def position_slip(positions: Mapping[str, Sequence[float]]) -> str | None:
+    """Return what is wrong if positions on a platform are in another unit than m; else None.
+
+    `positions` are coordinates in m by key.
+    """
+    for key, values in positions.items():
+        far = max(map(abs, values), default=0.0)
+        if far > _LARGEST_ARM_M:
+            slip = f"; do you mean {far / 1e3:g} m?" if far <= 1e3 * _LARGEST_ARM_M else ""
+            return (
+                f"{key}: expected positions within +-{_LARGEST_ARM_M:g} m of the centre, found "
+                f"{far:g} m{slip}"
+            )
+    every = [abs(x) for values in positions.values() for x in values]
+    if every and max(every) < _LEAST_ARM_M:
+        return (
+            f"{next(iter(positions))}: expected positions up to {_LEAST_ARM_M:g} m or more from "
+            f"the centre, found {max(every):g} m; is it in m?"
+        )
+    return None
 
 
 @dataclass(frozen=True)

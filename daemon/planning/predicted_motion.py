@@ -7,6 +7,7 @@ declared model by 10 to 20 %.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from ...config.rig import RigConfig
 from ...identification.subspace.simulation import Simulation
 from ...model.controller import closed_loop, pi_controller
-from ...model.geometry import shape_matrix
+from ...model.geometry import decoupling_matrix, shape_matrix
 from ...model.second_order import StateSpace
 from ..control.loop_stability import declared_plant
 from ..control.preflight_findings import Check, Finding, Outcome
@@ -26,12 +27,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PredictedMotion:
-    """Largest height at a sensor in m and largest tilt in rad, and the step of each."""
+    """Largest height at a sensor in m and largest tilt in rad, and the step of each.
+
+    excitation_n2: mean square of the excitation (C,) of each coil in N^2, by step.
+    """
 
     gap_m: float
     gap_step: str
     tilt_rad: float
     tilt_step: str
+    excitation_n2: Mapping[str, Array]
 
 
 def predicted_motion(
@@ -48,22 +53,28 @@ def predicted_motion(
     geometry = rig.geometry
     sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
     coils = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    T_coils = decoupling_matrix(geometry.coil_x_m, geometry.coil_y_m)
+    squares: dict[str, Array] = {}
     loops: dict[float, StateSpace | None] = {}
     for step in plan.steps:
         if step.excitation is None:
             continue
         if step.beam_m not in loops:
-            loops[step.beam_m] = _loop(rig, step.beam_m, 1.0 / plan.rate_hz)
+            loops[step.beam_m] = loop_from_wrench(rig, step.beam_m, 1.0 / plan.rate_hz)
         loop = loops[step.beam_m]
         if loop is None:
             return None
         simulation = Simulation(loop)
+        square, rows = np.zeros(len(coils)), 0
         for block in step.excitation.blocks():
             pose = simulation.respond(block.wrench(coils))
             gap = max(gap, (float(np.abs(pose @ sensors.T).max()), step.name))
             tilt = max(tilt, (float(np.abs(pose[:, :2]).max()), step.name))
+            square += np.square(block.coil_forces(T_coils)).sum(axis=0)
+            rows += block.rows
             report(step.name, block.rows)
-    return PredictedMotion(*gap, *tilt)
+        squares[step.name] = square / max(rows, 1)
+    return PredictedMotion(*gap, *tilt, squares)
 
 
 def motion_finding(rig: RigConfig, plan: Plan, report: Progress = lambda _, __: None) -> Finding:
@@ -71,7 +82,11 @@ def motion_finding(rig: RigConfig, plan: Plan, report: Progress = lambda _, __: 
 
     `report` is that of plan_session.
     """
-    found = predicted_motion(rig, plan, report)
+    return motion_within_limits(rig, predicted_motion(rig, plan, report))
+
+
+def motion_within_limits(rig: RigConfig, found: PredictedMotion | None) -> Finding:
+    """Return whether a predicted motion stays within the limits of the rig; None: unknown."""
     if found is None:
         return Finding(Check.MOTION, Outcome.UNKNOWN, "the rig has no model")
     if not found.gap_step:
@@ -92,8 +107,12 @@ def motion_finding(rig: RigConfig, plan: Plan, report: Progress = lambda _, __: 
     )
 
 
-def _loop(rig: RigConfig, beam_m: float, period_s: float) -> StateSpace | None:
-    """Return the closed loop from an added wrench to the pose."""
+def loop_from_wrench(rig: RigConfig, beam_m: float, period_s: float) -> StateSpace | None:
+    """Return the closed loop from an added wrench to the pose; None for a rig without a model.
+
+    Raises:
+        ConfigError: the model does not fit a rig.
+    """
     plant = declared_plant(rig, beam_m, period_s)
     if plant is None:
         return None

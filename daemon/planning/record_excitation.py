@@ -37,6 +37,15 @@ class ExcitedBlock:
             wrench += samples[:, None] * shape[coil]
         return wrench
 
+    def coil_forces(self, T_coils: Array) -> Array:
+        """Return the block as coil forces (rows, C) in N; T_coils (3, C) shares out a wrench."""
+        forces = np.zeros((self.rows, T_coils.shape[1]))
+        for axis, samples in self.axes.items():
+            forces += samples[:, None] * T_coils[axis]
+        for coil, samples in self.coils.items():
+            forces[:, coil] += samples
+        return forces
+
 
 @dataclass(frozen=True)
 class RecordExcitation:

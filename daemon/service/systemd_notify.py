@@ -7,6 +7,8 @@ import socket
 import time
 from collections import deque
 
+from ...config.escaping import one_line
+
 _MAX_UNSENT = 16
 
 
@@ -38,7 +40,7 @@ class Notify:
         """Report the present activity in one line."""
         if text != self._status:
             self._status = text
-            self._send(f"STATUS={text}")
+            self._send(f"STATUS={one_line(text)}")  # a line break would begin another message
 
     def alive(self) -> None:
         """Reset the watchdog; call often, but only while the loop advances."""

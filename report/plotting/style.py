@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -152,7 +153,9 @@ PAPER = Sheet(width_in=7.16, font_pt=8.0, line=0.8)  # both columns of a two-col
 @contextmanager
 def drawing(sheet: Sheet = PAGE) -> Iterator[None]:
     """Apply this style while the `with` body runs, without pyplot's global state."""
-    with mpl.rc_context({**_changed_defaults(), **_rc(sheet)}):
+    with mpl.rc_context({**_changed_defaults(), **_rc(sheet)}), warnings.catch_warnings():
+        # A name may have letters that DejaVu Sans lacks; in an SVG the reader's fonts show them.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
 

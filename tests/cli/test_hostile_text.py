@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -177,7 +178,9 @@ def test_imported_headers_are_text_in_draft_log_pages_and_figures(
         {"column": names[1], "name": "x_m", "unit": f'm}}" * {{ {MARK} $', "role": "output"},
     ]
     described = {"levid": "signals", "rate_hz": 100, "columns": columns}
-    signals, log = tmp_path / "signals.yaml", tmp_path / "data.mcap"
+    name = "".join(PRINTABLE[key] for key in ("HTML", "CSS", "mathtext", "markup")) + "日本 😀"
+    name = name.replace("/", "_")
+    signals, log = tmp_path / "signals.yaml", tmp_path / f"{name}.mcap"
     signals.write_text(yaml.safe_dump(described))
     code, _, err = check_outcome(
         levid("import", tmp_path / "data.csv", "--signals", signals, "-o", log)
@@ -190,12 +193,14 @@ def test_imported_headers_are_text_in_draft_log_pages_and_figures(
     model = tmp_path / "model.yaml"
     about = json.dumps(" ".join(t for t in HOSTILE.values() if not {"\0", "\ud800"} & {*t}))
     model.write_text(MODEL.format(name=json.dumps(ALL[:100]), about=about))
-    code, _, err = check_outcome(
-        levid("identify", log, "--model", model, "--out", tmp_path / "found")
-    )
+    found = tmp_path / f"found {name}"
+    code, _, err = check_outcome(levid("identify", log, "--model", model, "--out", found))
     assert code == 0, err
-    assert check_written(tmp_path / "found") > 2
-    check_outcome(levid("check", tmp_path / "found" / "model.yaml"))
+    assert "Warning" not in err, err
+    assert check_written(found) > 2
+    assert MARK in (found / "index.html").read_text(encoding="utf-8")
+    check_outcome(levid("check", found / "model.yaml"))
+    check_outcome(levid("plot", log, "-o", tmp_path / "plot.png"))
 
 
 def hostile_log(source: Path, target: Path, text: str) -> Path:
@@ -282,6 +287,10 @@ def test_results_of_any_text_are_compared_and_listed_as_text(
             folder.mkdir(parents=True)
             (folder / "result.json").write_text(json.dumps(result | {"command": command}))
         first, second = tmp_path / command / "a", tmp_path / command / "b"
+        for text in HOSTILE.values():  # as the names of folders below the one that is listed
+            name = text.replace("/", "_").replace("\0", "_").replace("\ud800", "_")[:80]
+            (first / name).mkdir()
+            (first / name / "result.json").write_text(json.dumps(result))
         check_outcome(levid("compare", first, second, "--out", tmp_path / command / "out"))
         check_outcome(levid("info", first))
     check_outcome(levid("list", tmp_path))
@@ -304,6 +313,20 @@ def test_paths_of_any_name_are_printed_as_commands_that_name_them(
             assert not re.search("[\x00-\x1f\x7f-\x9f\u2028\u202e]", line)
             if line.startswith("next: levid import") and "$'" not in line:
                 assert Path(shlex.split(line)[3]) == data
+
+
+def test_status_for_systemd_is_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from levid.daemon.service.systemd_notify import Notify
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        notify = Notify()
+        for text in HOSTILE.values():
+            notify.status(text)
+            message = systemd.recv(1 << 16).decode()
+            assert message.startswith("STATUS=")
+            assert message.isprintable()
 
 
 def test_all_lines_of_a_log_line_are_one_entry(capfd: pytest.CaptureFixture[str]) -> None:

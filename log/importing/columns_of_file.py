@@ -128,7 +128,7 @@ def _text_columns(path: Path, kind: Format) -> FileColumns:
             if layout is None:
                 return FileColumns(kind, ())
             file.seek(0)
-            lines = (r for r in rows(file, layout.separator) if r[0] >= layout.first_line)
+            lines = rows(file, layout.separator, first=layout.first_line)
             sample = [cells for _, cells in itertools.islice(lines, _SAMPLE_ROWS)]
     except (OSError, csv.Error) as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
@@ -142,6 +142,9 @@ def _text_columns(path: Path, kind: Format) -> FileColumns:
         values = [cell for cell in cells if not is_missing(cell) and is_value(cell)]
         if not values or 2 * len(values) < sum(not is_missing(cell) for cell in cells):
             others.append(f"column {place} {text!r}: no numbers")
+            continue
+        if place not in layout.numeric:
+            others.append(f"column {place} {text!r}: numbers in few rows")
             continue
         cell = layout.cells[place] if layout.cells else HeaderCell("", "")
         if ANY_FORMAT.number(values[0]) is None and stamp(values[0]) is not None:

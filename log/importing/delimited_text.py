@@ -71,7 +71,7 @@ def read_delimited(path: Path, signals: SignalsFile, *, whitespace: bool) -> Tex
                 raise LogError(f"{path}: expected rows of numbers, found none")
             file.seek(0)
             places = [column_place(path, column, layout) for column in signals.columns]
-            lines = (row for row in rows(file, layout.separator) if row[0] >= layout.first_line)
+            lines = rows(file, layout.separator, first=layout.first_line)
             found, notes = _read_rows(path, signals, layout, places, lines)
     except (OSError, csv.Error) as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
@@ -150,7 +150,9 @@ def _read_rows(
     for line, cells in lines:
         if count == end:
             break
-        if len(cells) != layout.width:
+        if len(cells) > layout.width and not any(cells[layout.width :]):
+            pass  # a separator at the end of each line
+        elif len(cells) != layout.width:
             if _is_text(cells, layout):
                 texts.append(line)
                 continue
@@ -178,7 +180,8 @@ def _read_rows(
 def _is_text(cells: list[str], layout: TextLayout) -> bool:
     """Return whether a line of another length is no row: a comment, an entry, a second header."""
     inside = [cells[i] for i in layout.numeric if i < len(cells)]
-    return not any(map(is_value, inside)) or not (is_value(cells[0]) or is_missing(cells[0]))
+    begins_with_text = 0 in layout.numeric and not (is_value(cells[0]) or is_missing(cells[0]))
+    return begins_with_text or not any(map(is_value, inside))
 
 
 def _last_line_is_cut(path: Path) -> bool:
@@ -190,8 +193,6 @@ def _last_line_is_cut(path: Path) -> bool:
 
 def _fitted(where: str, cells: list[str], layout: TextLayout, last_place: int) -> list[str]:
     """Return the cells of a row in the layout's width; raise LogError if numbers lack or exceed."""
-    if len(cells) > layout.width and not any(cells[layout.width :]):
-        return cells[: layout.width]
     if last_place < len(cells) < layout.width:
         return [*cells, *[""] * (layout.width - len(cells))]
     remedy = ""

@@ -95,10 +95,16 @@ def text_layout(file: Iterable[str], *, whitespace: bool) -> TextLayout | None:
     return _with_header(table, lines)
 
 
-def rows(lines: Iterable[str], separator: str | None, *, strict: bool = True) -> Iterator[Row]:
-    """Yield the rows that are neither blank nor comments; strict: open quotes raise csv.Error."""
+def rows(
+    lines: Iterable[str], separator: str | None, *, first: int = 1, strict: bool = True
+) -> Iterator[Row]:
+    """Yield the rows that are neither blank nor comments, from line number `first` on.
+
+    strict: open quotes raise csv.Error.
+    """
+    lines = itertools.islice(lines, first - 1, None)
     if separator is None:
-        for number, line in enumerate(lines, 1):
+        for number, line in enumerate(lines, first):
             cells = line.split()
             if cells and not cells[0].startswith(_COMMENTS):
                 yield number, _units_joined(cells)
@@ -109,7 +115,7 @@ def rows(lines: Iterable[str], separator: str | None, *, strict: bool = True) ->
     for cells in reader:
         stripped = [cell.strip() for cell in cells]
         if any(stripped):
-            yield reader.line_num, stripped
+            yield reader.line_num + first - 1, stripped
 
 
 def is_value(cell: str) -> bool:
@@ -138,7 +144,10 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
     numeric = tuple(i for i in range(usual) if 2 * sum(kind[i] for kind in late) > len(late))
     if not numeric:
         numeric = tuple(i for i in range(usual) if any(kind[i] for kind in late))
-    fits = [_fits(cells, kind, numeric) for cells, kind in zip(trimmed, kinds, strict=True)]
+    fits = [
+        len(cells) > numeric[-1] and _fits(shorter, kind, numeric)
+        for (_, cells), shorter, kind in zip(sample, trimmed, kinds, strict=True)
+    ]
     start = _first_row(fits, trimmed)
     inside = [k for k, fit in zip(kinds[start:], fits[start:], strict=True) if fit]
     filled = sum(bool(c) for t, fit in zip(trimmed, fits, strict=True) if fit for c in t)
@@ -148,8 +157,6 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
 
 def _fits(cells: Sequence[str], kind: Sequence[bool], numeric: Sequence[int]) -> bool:
     """Return whether a row has numbers, or no text, in the columns that hold numbers."""
-    if len(cells) <= numeric[0] or len(numeric) > 2 * len(cells):
-        return False
     found = [kind[i] for i in numeric if i < len(cells)]
     text = [i for i in numeric if i < len(cells) and not kind[i] and not is_missing(cells[i])]
     return any(found) and not text
@@ -230,17 +237,29 @@ def _header_rows(table: _Table) -> tuple[int | None, int | None]:
     }
     units = next((i for i, cells in lines.items() if _are_units(cells)), None)
     texts = [i for i, cells in full.items() if i != units and not all(map(is_value, cells))]
-    distinct = [i for i in texts if len(set(full[i])) == len(full[i])]
-    # Of several lines, the last one whose texts differ: a line of types repeats itself.
-    names = next(iter([*distinct, *texts]), None)
+    # One with units, else one with the most different texts: a line of types repeats itself.
+    with_units = [
+        i
+        for i in texts
+        if _different(full[i]) == len(full[i])
+        and any(header_unit(header_cell(text).unit) for text in full[i])
+    ]
+    names = next(iter(with_units), max(texts, key=lambda i: _different(full[i]), default=None))
     if names is None or (units is not None and abs(units - names) > _HEADER_LINES // 2):
         return (names if names is not None or units not in full else units), None
     return names, units
 
 
+def _different(cells: Sequence[str]) -> int:
+    """Return the number of different texts."""
+    return len({cell for cell in cells if cell and not is_value(cell)})
+
+
 def _are_units(cells: Sequence[str]) -> bool:
     found = [_bare_unit(cell) for cell in cells if cell]
-    known = [unit for unit in found if header_unit(unit) is not None]
+    if any(ANY_FORMAT.number(unit) not in (None, 1.0) for unit in found):
+        return False
+    known = [unit for unit in found if header_unit(unit) not in (None, "1")]
     return bool(known) and 3 * len(known) >= len(found) and max(map(len, found)) <= _LONGEST_UNIT
 
 

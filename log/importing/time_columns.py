@@ -160,8 +160,9 @@ def _counts_rows(values: Array) -> bool:
 
 def _clock(index: int, column: NamedColumn, values: Array, rate_hz: float | None) -> ClockColumn:
     """Return a column with its unit: stated, of a word in its name, or of its values."""
-    if column.dates or column.unit:
-        return ClockColumn(index, header_unit(column.unit) or column.unit or "s")
+    stated = "s" if column.dates else header_unit(column.unit)
+    if stated is not None:
+        return ClockColumn(index, stated)
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.name).lower()
     named = next((unit for word, unit in _WORDS if word in words), None)
     if named is not None:

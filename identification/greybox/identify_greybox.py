@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
 from ...model.second_order import StateSpace, discretise, lagged
+from ..records.held_out_rows import HeldOut, held_out_rows
 from ..records.record import IdentificationError
 from ..subspace.response_uncertainty import SURE_95
 from .declared_model_from_config import declared_model
 from .experiment.experiment_from_log import Experiment
 from .experiment.intersample_input import Hold
+from .experiment.value_check import check_values
 from .fit import Fit, fit_model
 from .force_balance.instrumental_variables import ForceBalance, fit_force_balance
 from .free_parameters import free_parameters
-from .free_run.free_run_simulation import free_run
+from .free_run.free_run_simulation import free_run, run_in_rows
 from .prediction.multistep_prediction import predict_ahead
 from .prediction.noise_model import Noise
 from .validation import Validation, metric_of, validate, whiteness
@@ -84,6 +86,8 @@ def identify_grey_box(
 ) -> GreyBox:
     """Fit `config` to the first 1 - holdout of every record and validate it on the rest.
 
+    The rest begins where motion is left behind it (`held_out_rows`).
+
     Imported records with prediction errors that are not white have something that the model lacks.
     Their likelihood then weighs frequencies by a noise that they do not have, and its intervals are
     too narrow: parameters and intervals come from the force balance, and cover the likelihood's
@@ -92,12 +96,14 @@ def identify_grey_box(
     Raises IdentificationError for a closed-loop record if the model's input is not zoh, and as
     fit_model does.
     """
+    check_values(experiments)
     units = dict.fromkeys(text for e in experiments for text in e.contradictions)
     remarks = (*units, *_compare_holds(config, experiments))
     imported = all(e.correlations is None for e in experiments)
     if imported:
         remarks += tuple(f"record '{e.name}': {text}" for e in experiments for text in e.remarks)
-    stops = [len(e.y) - round(holdout * len(e.y)) for e in experiments]
+    held = [held_out_rows(e.y, e.u, holdout) for e in experiments]
+    stops = [found.start for found in held]
     fit = fit_model(
         config, [e.rows(0, stop) for e, stop in zip(experiments, stops, strict=True)], progress
     )
@@ -108,7 +114,8 @@ def identify_grey_box(
         remarks += notes
     floor_noise = fit.noise if white or not imported else stated_noise(experiments)
     held_out = [
-        e.rows(stop if holdout else 0, len(e.y)) for e, stop in zip(experiments, stops, strict=True)
+        e.rows(_first_simulated(e, found) if holdout else 0, len(e.y))
+        for e, found in zip(experiments, held, strict=True)
     ]
     checks = tuple(validate(fit.model, e, config.input, fit.noise, floor_noise) for e in held_out)
     first = experiments[0]
@@ -122,6 +129,17 @@ def identify_grey_box(
         (*remarks, *_drifting(config, checks, held_out)),
         balance,
     )
+
+
+def _first_simulated(e: Experiment, held: HeldOut) -> int:
+    """Return the row from which the held-out rows of a record are simulated.
+
+    The rows that estimate the state at the start do not count. Where a record holds out the end of
+    one event, they are taken from the rows before: the event would be over.
+    """
+    if not held.event:
+        return held.start
+    return max(held.start - run_in_rows(len(e.y) - held.start, e.Ts_s), 0)
 
 
 def is_white(fit: Fit) -> bool:
@@ -151,6 +169,15 @@ def _with_force_balance(
     config: ModelConfig, fit: Fit
 ) -> tuple[Fit, ForceBalance | None, tuple[str, ...]]:
     """Return the fit with the parameters and intervals of the force balance."""
+    if not fit.free:
+        return (
+            fit,
+            None,
+            (
+                "prediction errors are not white: the model lacks something. The records determine "
+                "no parameter, so all keep their declared values. Excite the inputs more",
+            ),
+        )
     p = free_parameters(config)
     free = p.only([p.names.index(name) for name in fit.free])
     records = [q.experiment for q in fit.predictions]

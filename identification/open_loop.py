@@ -15,7 +15,7 @@ from .nonparametric.frequency_response import ResponseEstimate, frequency_respon
 from .nonparametric.markov_parameters import convolve, most_taps, nested_estimates
 from .options import Options
 from .records.drop_short_records import drop_short_records, left_out_remarks
-from .records.held_out_rows import held_out_rows
+from .records.held_out_rows import HeldOut, held_out_rows
 from .records.record import IdentificationError, OperatingPoint, Record
 from .results import ImpulseLength, OpenLoopPoint
 from .subspace.fit_percent import nrmse_fit_percent
@@ -139,8 +139,8 @@ def identify_open_loop(
         response=response_with_errors(IdentifiedPlant(fit.model), fit.covariance, spectra.freq_hz),
         from_spectra=spectra,
         holdout=tuple(
-            _hold_out(original, record, stop, fit.model if stable else None, predictor)
-            for original, record, stop in zip(records, centred, stops, strict=True)
+            _hold_out(original, record, held, fit.model if stable else None, predictor)
+            for original, record, held in zip(records, centred, held_out, strict=True)
         ),
         remarks=(
             *(f"{r.name}: {text}" for r in records for text in r.remarks),
@@ -433,21 +433,22 @@ def _segment(records: Sequence[Record]) -> int:
 def _hold_out(
     original: Record,
     record: Record,
-    start: int,
+    held: HeldOut,
     model: StateSpace | None,
     predictor: InnovationModel,
 ) -> HoldOut:
-    """Run both models over the record, and compare them with the held-out rows from `start` on."""
-    level = original.y[start:] - record.y[start:]
+    """Run both models over the record, and compare them with the held-out rows."""
+    start, rows = held.start, slice(held.start, held.stop)
+    level = original.y[rows] - record.y[rows]
     known = [record.rows(0, start)]
-    predicted = _predicted(predictor, known)(0, record)[start:] + level
-    measured = original.y[start:]
+    predicted = _predicted(predictor, known)(0, record)[rows] + level
+    measured = original.y[rows]
     simulated = (
         np.full_like(measured, np.nan)
         if model is None
-        else _simulated(model, known)(0, record)[start:] + level
+        else _simulated(model, known)(0, record)[rows] + level
     )
-    time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
+    time_s = np.arange(start, held.stop, dtype=np.float64) * record.Ts_s
     return HoldOut(
         record.name,
         time_s,

@@ -14,11 +14,11 @@ from ...config.model import ModelConfig
 from ...model.second_order import StateSpace, discretise, lagged
 from ..records.held_out_rows import HeldOut, held_out_rows
 from ..records.record import IdentificationError
+from ..records.value_check import check_values
 from ..subspace.response_uncertainty import SURE_95
 from .declared_model_from_config import declared_model
 from .experiment.experiment_from_log import Experiment
 from .experiment.intersample_input import Hold
-from .experiment.value_check import check_values
 from .fit import Fit, fit_model
 from .force_balance.instrumental_variables import ForceBalance, fit_force_balance
 from .free_parameters import free_parameters
@@ -30,6 +30,8 @@ from .validation import Validation, metric_of, validate, whiteness
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+DECLARE_LOOP = "Declare the loop in the signals file"
+"""Remedy of a remark on a model that drifts."""
 _NEAR = 0.5
 """Error of a simulation over the output's standard deviation up to which it is an instrument."""
 _WHITE = 1e-3
@@ -43,7 +45,8 @@ class GreyBox:
     `fitted` is a model file with fitted values and standard errors. `validations` has one entry for
     each record. `balance`: the fit of the force balance, None if the prediction errors are white;
     its parameters and intervals are those of `fitted`. `remarks` list contradictions between model
-    and records.
+    and records. `columns`: what columns have to be for the model to explain the records, such as "x
+    and y are exchanged"; empty if nothing suggests that they are wrong.
     """
 
     declared: ModelConfig
@@ -54,6 +57,7 @@ class GreyBox:
     delay_cycles: int
     remarks: tuple[str, ...] = ()
     balance: ForceBalance | None = None
+    columns: str = ""
 
     def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
         """Return the response (F, n, p) from command to output at freq_hz (F,) in Hz, with delay.
@@ -114,7 +118,7 @@ def identify_grey_box(
         remarks += notes
     floor_noise = fit.noise if white or not imported else stated_noise(experiments)
     held_out = [
-        e.rows(_first_simulated(e, found) if holdout else 0, len(e.y))
+        e.rows(_first_simulated(e, found), found.stop) if holdout else e
         for e, found in zip(experiments, held, strict=True)
     ]
     checks = tuple(validate(fit.model, e, config.input, fit.noise, floor_noise) for e in held_out)
@@ -139,7 +143,7 @@ def _first_simulated(e: Experiment, held: HeldOut) -> int:
     """
     if not held.event:
         return held.start
-    return max(held.start - run_in_rows(len(e.y) - held.start, e.Ts_s), 0)
+    return max(held.start - run_in_rows(held.stop - held.start, e.Ts_s), 0)
 
 
 def is_white(fit: Fit) -> bool:
@@ -241,7 +245,7 @@ def _drifting(
     return tuple(
         f"record '{e.name}': the fitted model integrates or is unstable, unlike the declared one, "
         "and no loop is declared: a simulation would drift, so the error is that of predictions. "
-        "Declare the loop in the signals file"
+        f"{DECLARE_LOOP}"
         for check, e in zip(checks, experiments, strict=True)
         if check.metric == "prediction" and not e.feedback and metric_of(start, e) == "free_run"
     )

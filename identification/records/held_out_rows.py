@@ -37,12 +37,13 @@ _INPUT_CHANGES = 0.01
 class HeldOut:
     """Where the held-out rows of a record begin, and whether they tell enough.
 
-    start: the first held-out row. moves: whether an output moves from there on. driven: whether an
-    input changes there. event: whether the outputs rest in most of the last rows, so that the rows
-    are those of the last motion.
+    start, stop: the first held-out row, and the one after the last. moves: whether an output moves
+    in them. driven: whether an input changes in them. event: whether the outputs rest in most of
+    the last rows, so that the held-out rows are those of the last motion.
     """
 
     start: int
+    stop: int
     moves: bool
     driven: bool
     event: bool = False
@@ -74,21 +75,23 @@ def held_out_rows(y: Array, u: Array, share: float) -> HeldOut:
     plain = rows - round(share * rows)
     blocks = block_count(rows)
     if share <= 0.0 or not blocks:
-        return HeldOut(plain, True, True)
+        return HeldOut(plain, rows, True, True)
     moving = moving_blocks(y, blocks)
     while 0 < np.count_nonzero(moving) < _EVENT_BLOCKS and blocks * _FINER <= rows // _ROWS_A_BLOCK:
         blocks *= _FINER  # resolve a short event
         moving = moving_blocks(y, blocks)
     ends = np.cumsum([len(part) for part in np.array_split(np.arange(rows), blocks)])
     behind = ends > plain
-    start, event = plain, bool(np.any(moving) and np.mean(moving[behind]) < _HALF)
+    start, stop, event = plain, rows, bool(np.any(moving) and np.mean(moving[behind]) < _HALF)
     if event:
         numbers = np.flatnonzero(moving)
         fitted = numbers[: max(round((1.0 - share) * len(numbers)), 1)]
         start = max(int(ends[fitted[-1]]), round(_LEAST * rows))
-    behind = ends > start
-    changes = np.ptp(u[start:], axis=0) > _INPUT_CHANGES * np.ptp(u, axis=0)
-    return HeldOut(start, bool(np.any(moving[behind])), bool(np.any(changes)), event)
+        stop = min(max(int(ends[numbers[-1]]), start + _FEWEST_ROWS), rows)
+    held = (ends > start) & (ends <= stop)
+    changes = np.ptp(u[start:stop], axis=0) > _INPUT_CHANGES * np.ptp(u, axis=0)
+    moves = bool(np.any(moving[held]))
+    return HeldOut(start, stop, moves, bool(np.any(changes)), event)
 
 
 def block_count(rows: int) -> int:

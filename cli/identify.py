@@ -239,7 +239,7 @@ def _point(point: dict[str, Any], names: list[str], answer: str) -> list[str]:
                 for name, fit in zip(names, fits or [], strict=False)
             ]
             if texts:
-                lines.append(f"  last {held['rows']} rows (held out), {kind}: {', '.join(texts)}")
+                lines.append(f"  {held['rows']} held-out rows, {kind}: {', '.join(texts)}")
     return lines
 
 

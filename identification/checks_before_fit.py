@@ -23,7 +23,9 @@ from .greybox.free_parameters import free_parameters
 from .greybox.validation import metric_of
 from .open_loop import HIGHEST_ORDER
 from .options import Options
-from .records.persistence_of_excitation import dependent_inputs, sine_waves
+from .records.excitation_kind import excitations
+from .records.held_out_rows import held_out_rows
+from .records.persistence_of_excitation import dependent_inputs
 from .records.record import IdentificationError, Record, by_position, describe_position
 
 Array = NDArray[np.float64]
@@ -67,7 +69,7 @@ def check_before_fit(
     for source in (experiments if config is not None else (), records):
         found += [f"record '{r.name}': {text}" for r in source for text in r.remarks]
     for group in by_position(records):
-        training = [r.rows(0, len(r.y) - options.holdout_rows(len(r.y))) for r in group]
+        training = [r.rows(0, held_out_rows(r.y, r.v, options.holdout).start) for r in group]
         if len({(r.Ts_s, r.input_names, r.output_names) for r in training}) > 1:
             continue  # an error of the identification
         beam_m = group[0].beam_m
@@ -100,13 +102,26 @@ def _of_inputs(training: Sequence[Record], options: Options) -> Iterator[str]:
             f"the inputs independently, or give {d.name} the role other"
         )
     wanted = options.order or HIGHEST_ORDER
-    for name, waves in zip(names, sine_waves(training).tolist(), strict=True):
-        if 0 < waves < wanted:
+    for name, found in zip(names, excitations(training), strict=True):
+        waves = found.count
+        if found.kind == "periodic" and waves < wanted:
             yield (
                 f"input {name} consists of {waves} sine wave{'s' * (waves > 1)} (99.9 % of its "
                 f"power), which determine{'s' * (waves == 1)} {2 * waves} numbers of a transfer "
                 f"function: a black-box model above order {waves} fits noise between these "
                 "frequencies. Excite more frequencies by noise, a sweep or a multisine"
+            )
+        elif found.kind == "steps":
+            yield (
+                f"input {name} consists of {waves} step{'s' * (waves > 1)}: it excites low "
+                "frequencies most, and every step gives one response to fit or to validate. For "
+                "fast modes or small errors, excite by noise or a multisine"
+            )
+        elif found.kind == "transient":
+            yield (
+                f"input {name} is a transient: it moves in a part of the record only, or less than "
+                "twice to and fro. It excites low frequencies most. For fast modes or small "
+                "errors, excite by noise or a multisine"
             )
 
 
@@ -157,7 +172,7 @@ class _Modes:
 def _of_model(
     config: ModelConfig, experiments: Sequence[Experiment], options: Options
 ) -> Iterator[str]:
-    stops = [len(e.y) - options.holdout_rows(len(e.y)) for e in experiments]
+    stops = [held_out_rows(e.y, e.u, options.holdout).start for e in experiments]
     training = [e.rows(0, stop) for e, stop in zip(experiments, stops, strict=True)]
     model = declared_model(config)
     yield from _of_numbers(config, training)

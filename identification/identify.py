@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .closed_loop import identify_closed_loop, wanted_rows
@@ -22,6 +23,7 @@ from .records.record import (
     operating_points,
 )
 from .records.signal_names import SignalNames
+from .records.value_check import check_sizes
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 
 Progress = Callable[[str, float], None]
@@ -67,9 +69,16 @@ def identify(
             # The matrices are small: several BLAS threads would only wait for each other.
             with threadpool_limits(1):
                 check_inputs(point.records)
+                for r in point.records:
+                    check_sizes(r.name, r.v, r.y)
                 results.append(method(point, options, report_share))
         except IdentificationError as error:
             errors[where] = error
+        except np.linalg.LinAlgError as error:
+            errors[where] = IdentificationError(
+                f"the linear algebra of the black-box model failed ({error}): its equations are "
+                "singular. Check that inputs and outputs vary, and their units"
+            )
         report_share(1.0)
     reasons = [f"{where}: {error}" for where, error in errors.items()]
     if not results:

@@ -15,6 +15,7 @@ from .nonparametric.frequency_response import ResponseEstimate, frequency_respon
 from .nonparametric.markov_parameters import convolve, most_taps, nested_estimates
 from .options import Options
 from .records.drop_short_records import drop_short_records, left_out_remarks
+from .records.held_out_rows import HeldOut, held_out_rows
 from .records.record import IdentificationError, OperatingPoint, Record
 from .results import ImpulseLength, OpenLoopPoint
 from .subspace.fit_percent import nrmse_fit_percent
@@ -70,7 +71,8 @@ def identify_open_loop(
     refined by the prediction-error method from each of these starts: one simulates from the inputs
     alone, one predicts a step ahead. Their orders are chosen by validation: models of every order
     are fitted to the first three quarters of the training rows and compared on the last. So is the
-    length of the impulse response. The held-out rows (`options.holdout`) only measure the fit.
+    length of the impulse response. The held-out rows (`options.holdout`) only measure the fit. Both
+    begin where motion is left behind them (`held_out_rows`).
 
     Records of a loop with an unknown controller have the predictor only, which is consistent there:
     `model` is the predictor's. So it is if no stable model simulates the records. An unstable model
@@ -81,10 +83,11 @@ def identify_open_loop(
     """
     # The impulse response is at most half as long as the shortest record.
     records, too_short = drop_short_records(point.records, 2 * MOST_TAPS + 1)
-    stops = [len(r.y) - options.holdout_rows(len(r.y)) for r in records]
+    held_out = [held_out_rows(r.y, r.v, options.holdout) for r in records]
+    stops = [held.start for held in held_out]
     centred = [_centred(r, stop) for r, stop in zip(records, stops, strict=True)]
     training = [r.rows(0, stop) for r, stop in zip(centred, stops, strict=True)]
-    part_stops = [stop - round(VALIDATION_SHARE * stop) for stop in stops]
+    part_stops = [held_out_rows(r.y, r.v, VALIDATION_SHARE).start for r in training]
 
     _check_outputs([r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)])
     origins = input_origins(records)
@@ -136,13 +139,18 @@ def identify_open_loop(
         response=response_with_errors(IdentifiedPlant(fit.model), fit.covariance, spectra.freq_hz),
         from_spectra=spectra,
         holdout=tuple(
-            _hold_out(original, record, stop, fit.model if stable else None, predictor)
-            for original, record, stop in zip(records, centred, stops, strict=True)
+            _hold_out(original, record, held, fit.model if stable else None, predictor)
+            for original, record, held in zip(records, centred, held_out, strict=True)
         ),
         remarks=(
             *(f"{r.name}: {text}" for r in records for text in r.remarks),
             *left_out_remarks(too_short),
             *feedback.remarks,
+            *(
+                f"record '{r.name}': {held.remark}"
+                for r, held in zip(records, held_out, strict=True)
+                if held.remark is not None
+            ),
             *([f"no Markov parameters: {starts.no_markov}"] if starts.no_markov else []),
             *([] if stable else [_UNSTABLE]),
             *(disagreements(*mode_lists, ("simulation", "prediction")) if simulator else ()),
@@ -425,21 +433,22 @@ def _segment(records: Sequence[Record]) -> int:
 def _hold_out(
     original: Record,
     record: Record,
-    start: int,
+    held: HeldOut,
     model: StateSpace | None,
     predictor: InnovationModel,
 ) -> HoldOut:
-    """Run both models over the record, and compare them with the held-out rows from `start` on."""
-    level = original.y[start:] - record.y[start:]
+    """Run both models over the record, and compare them with the held-out rows."""
+    start, rows = held.start, slice(held.start, held.stop)
+    level = original.y[rows] - record.y[rows]
     known = [record.rows(0, start)]
-    predicted = _predicted(predictor, known)(0, record)[start:] + level
-    measured = original.y[start:]
+    predicted = _predicted(predictor, known)(0, record)[rows] + level
+    measured = original.y[rows]
     simulated = (
         np.full_like(measured, np.nan)
         if model is None
-        else _simulated(model, known)(0, record)[start:] + level
+        else _simulated(model, known)(0, record)[rows] + level
     )
-    time_s = np.arange(start, len(record.y), dtype=np.float64) * record.Ts_s
+    time_s = np.arange(start, held.stop, dtype=np.float64) * record.Ts_s
     return HoldOut(
         record.name,
         time_s,

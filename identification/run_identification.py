@@ -14,7 +14,7 @@ from ..log.reader import Log, read_log
 from .checks_before_fit import check_before_fit
 from .greybox.declared_model_from_config import declared_model
 from .greybox.experiment.experiment_from_log import Experiment
-from .greybox.identify_greybox import GreyBox, identify_grey_box
+from .greybox.identify_greybox import DECLARE_LOOP, GreyBox, identify_grey_box, is_white
 from .identify import identify
 from .nonparametric.robust_multisine import (
     BestLinearApproximation,
@@ -33,6 +33,7 @@ from .records.periodic_records import (
 from .records.record import IdentificationError, NotARecordError, Record, describe_position
 from .records.rig_model import no_model
 from .results import ClosedLoopPoint, IdentificationResult
+from .trace.force_trace.column_hint import column_hint
 from .trace.subtract_declared_effects import experiment_of
 
 Progress = Callable[[str, float], None]
@@ -125,14 +126,44 @@ def study(
                 lambda what, share: report(f"fit, {what}", 0.5 + 0.5 * share),
             )
             notes += _effects_note(model)
-        except IdentificationError as error:
+            grey = _with_column_hint(grey, logs, model)
+        except (IdentificationError, np.linalg.LinAlgError) as error:
+            reason = _in_words(error)
             if points is None and not multisine:
-                raise (errors[0] if errors else error) from None
-            notes.append(f"the declared model was not fitted: {error}")
+                raise (errors[0] if errors else reason) from None
+            notes.append(f"the declared model was not fitted: {reason}")
     if errors and points is None and grey is None and not multisine:
         others = "".join(f"; {reason}" for reason in found.unfitted[:1])
         raise IdentificationError(f"{errors[0]}{others}")
     return Study(points, multisine, grey, (*before, *notes), before)
+
+
+def _in_words(error: Exception) -> IdentificationError:
+    if isinstance(error, IdentificationError):
+        return error
+    return IdentificationError(
+        f"its equations are singular ({error}): check that inputs and outputs vary, the units, and "
+        "the model's start values"
+    )
+
+
+def _with_column_hint(grey: GreyBox, logs: Sequence[Path], model: ModelConfig) -> GreyBox:
+    """Return the fit with what columns have to be for the model to explain the records.
+
+    A fit of wrong columns may drift, and then seems to need a loop: that remark leads astray.
+    """
+    if any(p.experiment.correlations is not None for p in grey.fit.predictions):
+        return grey  # the rig's own logs have no columns to exchange
+    if is_white(grey.fit):
+        return grey
+    try:
+        exchange = column_hint(logs, model)
+    except (IdentificationError, np.linalg.LinAlgError):
+        return grey  # too short or too quiet to tell
+    if exchange is None:
+        return grey
+    remarks = tuple(text for text in grey.remarks if not text.endswith(DECLARE_LOOP))
+    return replace(grey, columns=exchange.words, remarks=remarks)
 
 
 def _checks(found: _LogContents, model: ModelConfig | None, options: Options) -> tuple[str, ...]:

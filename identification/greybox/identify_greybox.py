@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
 from ...model.second_order import StateSpace, discretise, lagged
+from ..records.held_out_rows import HeldOut, held_out_rows
 from ..records.record import IdentificationError
+from ..records.value_check import check_values
 from ..subspace.response_uncertainty import SURE_95
 from .declared_model_from_config import declared_model
 from .experiment.experiment_from_log import Experiment
@@ -20,7 +22,7 @@ from .experiment.intersample_input import Hold
 from .fit import Fit, fit_model
 from .force_balance.instrumental_variables import ForceBalance, fit_force_balance
 from .free_parameters import free_parameters
-from .free_run.free_run_simulation import free_run
+from .free_run.free_run_simulation import free_run, run_in_rows
 from .prediction.multistep_prediction import predict_ahead
 from .prediction.noise_model import Noise
 from .validation import Validation, metric_of, validate, whiteness
@@ -28,6 +30,8 @@ from .validation import Validation, metric_of, validate, whiteness
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+DECLARE_LOOP = "Declare the loop in the signals file"
+"""Remedy of a remark on a model that drifts."""
 _NEAR = 0.5
 """Error of a simulation over the output's standard deviation up to which it is an instrument."""
 _WHITE = 1e-3
@@ -41,7 +45,8 @@ class GreyBox:
     `fitted` is a model file with fitted values and standard errors. `validations` has one entry for
     each record. `balance`: the fit of the force balance, None if the prediction errors are white;
     its parameters and intervals are those of `fitted`. `remarks` list contradictions between model
-    and records.
+    and records. `columns`: what columns have to be for the model to explain the records, such as "x
+    and y are exchanged"; empty if nothing suggests that they are wrong.
     """
 
     declared: ModelConfig
@@ -52,6 +57,7 @@ class GreyBox:
     delay_cycles: int
     remarks: tuple[str, ...] = ()
     balance: ForceBalance | None = None
+    columns: str = ""
 
     def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
         """Return the response (F, n, p) from command to output at freq_hz (F,) in Hz, with delay.
@@ -84,6 +90,8 @@ def identify_grey_box(
 ) -> GreyBox:
     """Fit `config` to the first 1 - holdout of every record and validate it on the rest.
 
+    The rest begins where motion is left behind it (`held_out_rows`).
+
     Imported records with prediction errors that are not white have something that the model lacks.
     Their likelihood then weighs frequencies by a noise that they do not have, and its intervals are
     too narrow: parameters and intervals come from the force balance, and cover the likelihood's
@@ -92,12 +100,14 @@ def identify_grey_box(
     Raises IdentificationError for a closed-loop record if the model's input is not zoh, and as
     fit_model does.
     """
+    check_values(experiments)
     units = dict.fromkeys(text for e in experiments for text in e.contradictions)
     remarks = (*units, *_compare_holds(config, experiments))
     imported = all(e.correlations is None for e in experiments)
     if imported:
         remarks += tuple(f"record '{e.name}': {text}" for e in experiments for text in e.remarks)
-    stops = [len(e.y) - round(holdout * len(e.y)) for e in experiments]
+    held = [held_out_rows(e.y, e.u, holdout) for e in experiments]
+    stops = [found.start for found in held]
     fit = fit_model(
         config, [e.rows(0, stop) for e, stop in zip(experiments, stops, strict=True)], progress
     )
@@ -108,7 +118,8 @@ def identify_grey_box(
         remarks += notes
     floor_noise = fit.noise if white or not imported else stated_noise(experiments)
     held_out = [
-        e.rows(stop if holdout else 0, len(e.y)) for e, stop in zip(experiments, stops, strict=True)
+        e.rows(_first_simulated(e, found), found.stop) if holdout else e
+        for e, found in zip(experiments, held, strict=True)
     ]
     checks = tuple(validate(fit.model, e, config.input, fit.noise, floor_noise) for e in held_out)
     first = experiments[0]
@@ -122,6 +133,17 @@ def identify_grey_box(
         (*remarks, *_drifting(config, checks, held_out)),
         balance,
     )
+
+
+def _first_simulated(e: Experiment, held: HeldOut) -> int:
+    """Return the row from which the held-out rows of a record are simulated.
+
+    The rows that estimate the state at the start do not count. Where a record holds out the end of
+    one event, they are taken from the rows before: the event would be over.
+    """
+    if not held.event:
+        return held.start
+    return max(held.start - run_in_rows(held.stop - held.start, e.Ts_s), 0)
 
 
 def is_white(fit: Fit) -> bool:
@@ -151,6 +173,15 @@ def _with_force_balance(
     config: ModelConfig, fit: Fit
 ) -> tuple[Fit, ForceBalance | None, tuple[str, ...]]:
     """Return the fit with the parameters and intervals of the force balance."""
+    if not fit.free:
+        return (
+            fit,
+            None,
+            (
+                "prediction errors are not white: the model lacks something. The records determine "
+                "no parameter, so all keep their declared values. Excite the inputs more",
+            ),
+        )
     p = free_parameters(config)
     free = p.only([p.names.index(name) for name in fit.free])
     records = [q.experiment for q in fit.predictions]
@@ -214,7 +245,7 @@ def _drifting(
     return tuple(
         f"record '{e.name}': the fitted model integrates or is unstable, unlike the declared one, "
         "and no loop is declared: a simulation would drift, so the error is that of predictions. "
-        "Declare the loop in the signals file"
+        f"{DECLARE_LOOP}"
         for check, e in zip(checks, experiments, strict=True)
         if check.metric == "prediction" and not e.feedback and metric_of(start, e) == "free_run"
     )

@@ -250,10 +250,12 @@ def _grey_box_chapter(
     report = grey_box_report(grey, points, signals, truth)
     beside = compare_with_black_box(grey, others)
     unexcited = any(origin.unexcited for p in others for origin in p.origins)
+    as_good = beside is not None and beside.as_good and not grey.columns
+    reliable = not unexcited and (report.explains or as_good)
     return Chapter(
         "Fitted model",
         grey_box_answer(report, beside),
-        not unexcited and (report.explains or (beside is not None and beside.as_good)),
+        reliable,
         grey_box_words(report),
         grey_box_numbers(report),
         lambda: grey_box_sections(report),

@@ -215,11 +215,17 @@ def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None)
         found = (
             f"Use the fitted model '{name}': it explains these records down to the noise{error}."
         )
-    elif beside is not None and beside.as_good:
+    elif not report.grey.columns and beside is not None and beside.as_good:
         found = (
             f"Use the fitted model '{name}': on held-out rows it explains as much as the black-box "
             f"model{_errors_beside(report, beside)}. It does not explain them down to the "
             f"noise{error}, so the plant has an effect that both models lack."
+        )
+    elif report.grey.columns:
+        found = (
+            f"The fitted model '{name}' does not explain these records{error}. It looks as if "
+            f"{report.grey.columns}: then it explains nearly all of the force. Compare columns, "
+            "signs and units in the signals file with the rig, import and identify again."
         )
     else:
         found = (

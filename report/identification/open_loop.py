@@ -42,7 +42,7 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
     for held in _worst_first(point.holdout)[:_MOST_SHOWN]:
         texts.append(
             Text(
-                f"Held-out rows, the last {len(held.time_s)} of record {held.record}: "
+                f"Held-out rows, {len(held.time_s)} of record {held.record}{_from(held)}: "
                 f"{_fit_words(held, signals)}."
             )
         )
@@ -123,15 +123,19 @@ def _held_out_parts(point: OpenLoopPoint, signals: SignalLabels, name: str) -> t
             Picture(
                 f"{name}-outputs-{number + 1}",
                 to_svg(held_out_outputs(tail)),
-                f"Measured, predicted and simulated outputs at the end of record {held.record}.",
-                f"Held-out rows: the last {len(held.time_s)} of record {held.record}. Simulated: "
-                "from the input alone. One step ahead: from input and output up to the previous "
-                "row. A fit of 100 % is perfect; 0 % is no better than the mean.",
+                f"Measured, predicted and simulated outputs in held-out rows of {held.record}.",
+                f"Held-out rows: {len(held.time_s)} of record {held.record}{_from(held)}. "
+                "Simulated: from the input alone. One step ahead: from input and output up to the "
+                "previous row. A fit of 100 % is perfect; 0 % is no better than the mean.",
             )
         )
     if len(point.holdout) > _MOST_SHOWN:
         pictures.append(_fits_table(point.holdout, signals))
     return tuple(pictures)
+
+
+def _from(held: HoldOut) -> str:
+    return f" from {held.time_s[0]:.4g} s on" if len(held.time_s) else ""
 
 
 def _fits_table(holdout: Sequence[HoldOut], signals: SignalLabels) -> Table:

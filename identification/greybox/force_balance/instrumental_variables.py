@@ -186,6 +186,8 @@ def _fit(
         squares = float(left @ left)
         if squares < least:
             best, least = values, squares
+    if not len(best):
+        raise IdentificationError("its equations diverge for these records and start values")
     J, Z = jacobian(best, records), jacobian(best, instruments)
     return best, bounds.scale * _standard_errors(J, Z, _stacked(residual(best), nuisance))
 

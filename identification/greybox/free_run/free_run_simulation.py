@@ -91,6 +91,11 @@ def first_row(experiment: Experiment) -> int:
     return min(max(round(START_S / experiment.Ts_s), _START_ROWS), rows // 3)
 
 
+def run_in_rows(counted: int, Ts_s: float) -> int:
+    """Return the number of rows to simulate before `counted` rows, so that these all count."""
+    return min(max(round(START_S / Ts_s), _START_ROWS), counted // 2)
+
+
 def beginning(at: Motion, first: int) -> Motion:
     """Return the rows before `first`, with at most a quarter of them blind."""
     return replace(at.rows(0, first), blind=min(at.blind, first // 4))

@@ -12,35 +12,26 @@ from threadpoolctl import threadpool_limits
 
 from ....config.model import ModelConfig
 from ....model.effects.base import Effect, Places
-from ....model.effects.effect_serialization import placed_effects
 from ....model.effects.operating_range import Extent
-from ...greybox.declared_model_from_config import declared_model
 from ...greybox.force_balance.band_limited_signals import (
     BAND_STEPS,
-    SHORTEST_ROWS,
-    acceleration_limit,
-    middle_limit,
-    velocity_limit,
 )
-from ...greybox.free_parameters import FreeParameters, free_parameters
+from ...greybox.free_parameters import FreeParameters
 from ...greybox.identify_greybox import stated_noise
-from ...records.record import IdentificationError
 from ...value_with_interval import PERCENT
 from ..force_balance.force_record import ForceModel, ForceRecord, force_records
 from ..force_balance.lines_in_missing_force import missing_lines
 from ..force_balance.noise_through_laws import noise_with_laws
-from ..force_balance.outputs_at_rest import with_outputs_at_rest
 from ..force_balance.position_spectrum import position_periods
-from ..force_balance.reported_errors import PooledError, ReportedError, output_noise, reported_error
+from ..force_balance.reported_errors import PooledError, ReportedError, reported_error
 from ..force_checks.certainty_of_effects import Certainty, FittedRows, without_effect
-from ..force_checks.columns_in_another_unit import explaining_unit
-from ..force_checks.exchanged_columns import Exchange, explaining_exchange
+from ..force_checks.exchanged_columns import Exchange
 from ..force_checks.instrumental_variables import Unbiased
 from ..force_checks.notes_on_numbers import notes_on_numbers
 from ..force_checks.output_error_fit import output_error
 from ..force_checks.simpler_laws import with_plain_laws, with_simpler_laws
 from ..force_regression.candidate_fit import lacked
-from ..force_regression.training_records import Training, missing_share
+from ..force_regression.training_records import Training
 from ..force_search.free_form_of_law_signal import curves_beside_laws
 from ..force_search.opposite_gain import with_opposite_gains
 from ..force_search.rated_candidate import Rated
@@ -52,17 +43,15 @@ from ..force_search.scale_of_equations import (
 from ..force_search.search import Progress, Searched, compared, search
 from ..force_search.weighed_records import between_turns, training_below, unweighed, weighed
 from ..records.check_common_session_time import overlap
-from ..records.coil_load_history import in_one_session
 from ..records.initial_guesses import extent
 from ..records.read_records import read_records
 from ..records.record_from_log import TraceRecord
 from ..records.searched_effects import SearchedEffects, searched_effects
 from ..search_options import SearchOptions
+from .column_hint import balance_of_records, declared_start, explaining_columns
 
 Array = NDArray[np.float64]
 
-_ROWS_PER_BLOCK = 2
-"""Independent values of a block, at least: one has no error beside what it fits."""
 _MIDDLE = BAND_STEPS[len(BAND_STEPS) // 2]
 
 
@@ -153,20 +142,10 @@ def _traced(
     options: SearchOptions,
     notes: tuple[str, ...],
 ) -> ForceTrace:
-    _require_rows(records, options)
-    records, hold, model = in_one_session(records), config.input, declared_model(config)
-    sd = output_noise(records)
-    records, at_rest = with_outputs_at_rest(records, sd)
-    limit_hz = min(
-        middle_limit([r.experiment for r in records], hold),
-        *(acceleration_limit(r.experiment, sd) for r in records),
-    )
-    options = replace(options, blocks=_blocks(records, limit_hz, options))
-    begins = [round((1.0 - options.reported) * r.rows) for r in records]
-    train = [r.cut(0, at) for r, at in zip(records, begins, strict=True)]
-    # A law bends motion from above the limit into the band. A loud record shows more of it.
-    law_hz = [max(limit_hz, velocity_limit(r.experiment, sd)) for r in records]
-    fitted = force_records(train, hold, limit_hz, law_hz, sd)
+    balance = balance_of_records(records, config, options)
+    records, model, sd, options = balance.records, balance.model, balance.sd, balance.options
+    hold, limit_hz, law_hz = balance.hold, balance.limit_hz, balance.law_hz
+    begins, train, fitted = balance.begins, balance.train, balance.fitted
     whole = force_records(records, hold, limit_hz, law_hz, sd)
     reported = _counted_behind(begins, whole)
     noisy, more = [_noisier(r, sd, seed) for seed, r in enumerate(records)], np.sqrt(2.0) * sd
@@ -174,8 +153,7 @@ def _traced(
     covered = _within_band(extent(train), limit_hz)
 
     progress("fitting the declared model", options.share_done(-1))
-    placed = placed_effects(config.effects, places, covered)
-    start = ForceModel(model, free_parameters(config), placed)
+    start = declared_start(balance, config, covered)
     training, declared, held_for = unweighed(start, fitted, limit_hz, options)
     training, declared = weighed(training, declared, (), options)
     covered = _with_lines(covered, declared, fitted, limit_hz)
@@ -217,9 +195,7 @@ def _traced(
         last = judged(without_effect(last.found, empty, training), training)
     found = last.found
     curves = curves_beside_laws(found.point, free, training, options)
-    exchange = _exchange(
-        start, declared, found.point, training, train, limit_hz, law_hz, sd, options
-    ) or explaining_unit(start, declared, found.point, training, options)
+    exchange = explaining_columns(balance, start, declared, found.point, training)
     progress("reporting on unseen rows", options.share_done(options.most_effects + 1))
     below = reported, _counted_behind(begins, force_records(noisy, hold, limit_hz, law_hz, more))
     before, after = (_reported(point, records, begins, *below) for point in (declared, found.point))
@@ -230,7 +206,7 @@ def _traced(
         before, after, last.rows, last.between, PERCENT * last.unseen, last.left_share,
         last.leaning, last.impossible, exchange, outputs, curves, sd, stated, limit_hz, fitted,
         reported, (
-            *notes, *at_rest, *notes_on_held(found.point, held_for), *table.notes,
+            *notes, *balance.notes, *notes_on_held(found.point, held_for), *table.notes,
             *notes_on_numbers(
                 found.point, last.errors, last.impossible.get("", ()), options
             ),
@@ -327,32 +303,6 @@ def _reported(
     return tuple(reported_error(point, r, begin, below, stated) for r, begin, below in each)
 
 
-def _exchange(
-    start: ForceModel,
-    declared: ForceModel,
-    found: ForceModel,
-    training: Training,
-    train: Sequence[TraceRecord],
-    limit_hz: float,
-    law_hz: Sequence[float],
-    sd: Array,
-    options: SearchOptions,
-) -> Exchange | None:
-    """Return what columns have to be for a model without effects to explain as much.
-
-    start: the model as its file declares it; declared, found: fitted, without and with effects.
-    """
-
-    def missing(records: Sequence[TraceRecord], sd: Array) -> Array:
-        below = force_records(records, hold, limit_hz, law_hz, sd)
-        refitted, fit, _ = unweighed(start, below, limit_hz, options)
-        return missing_share(refitted.plain.at(fit))
-
-    hold, plain = training.records[0].band.hold, training.plain
-    before, after = (missing_share(plain.at(p)) for p in (declared, found))
-    return explaining_exchange(train, sd, missing, before, after, options)
-
-
 def _noisier(record: TraceRecord, sd: Array, seed: int) -> TraceRecord:
     """Return a record with twice the variance of the outputs' noise, of deviation sd (n,).
 
@@ -362,41 +312,6 @@ def _noisier(record: TraceRecord, sd: Array, seed: int) -> TraceRecord:
     e = record.experiment
     more = sd * np.random.default_rng(seed).normal(size=e.y.shape)
     return replace(record, experiment=replace(e, y=e.y + more))
-
-
-def _require_rows(records: Sequence[TraceRecord], options: SearchOptions) -> None:
-    least = round(SHORTEST_ROWS / options.reported)
-    for record in records:
-        if record.rows < least:
-            raise IdentificationError(
-                f"record '{record.name}': expected at least {least} rows, of which the last "
-                f"{options.reported:.0%} only report, found {record.rows}"
-            )
-
-
-def _blocks(records: Sequence[TraceRecord], limit_hz: float, options: SearchOptions) -> int:
-    """Return the number of blocks of time: fewer for records with few independent values.
-
-    Raises IdentificationError without a varying input, or with too little above the noise.
-    """
-    names = records[0].places.actuators
-    still = np.all([np.ptp(r.coil, axis=0) == 0.0 for r in records], axis=0)
-    if np.all(still):
-        raise IdentificationError(
-            f"expected an input that varies, found {', '.join(names)} constant in every row: a "
-            "force that the model lacks is measured by the inputs' force"
-        )
-    seconds = (1.0 - options.reported) * sum(r.rows * r.experiment.Ts_s for r in records)
-    independent = 2.0 * seconds * limit_hz
-    least = _ROWS_PER_BLOCK * options.fewest_blocks
-    if independent < least:
-        raise IdentificationError(
-            f"expected at least {least} independent values to fit ({_ROWS_PER_BLOCK} in each of "
-            f"{options.fewest_blocks} blocks of time), found {independent:.0f}: {seconds:.3g} s "
-            f"below {limit_hz:.3g} Hz, where every output is ten times above its noise. Record "
-            "longer, excite more, or filter less"
-        )
-    return min(options.blocks, int(independent / _ROWS_PER_BLOCK))
 
 
 def pooled_errors(trace: ForceTrace) -> tuple[PooledError, PooledError]:

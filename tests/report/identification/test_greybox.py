@@ -150,7 +150,7 @@ def test_table_distinguishes_fitted_held_and_fixed_parameters(grey):
 def test_parameter_at_its_bound_is_marked(grey):
     bound = replace(grey, fit=replace(grey.fit, at_bound=("k",)))
     report = grey_box_report(bound, (), AXES)
-    assert "k ended at a bound" in " ".join(t.text for t in grey_box_words(report))
+    assert "k ended at its bound" in " ".join(t.text for t in grey_box_words(report))
     assert grey_box_numbers(report)[0].verdict == "bad"
     assert "(at bound)" in page_text(grey_box_sections(report))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -173,6 +173,7 @@ class Identification:
         """
         from ..report.identification.identification_page import identification_report
         from ..report.session.flight_data import read_session
+        from .next_flight import next_flight
         from .session import first_flight
 
         out, found = Path(folder), self._found
@@ -189,6 +190,8 @@ class Identification:
                 found.multisine,
                 found.notes,
                 command,
+                self._session.logs,
+                partial(next_flight, self._session),
             )
             save_result(out, self.to_json())
         return self._page

@@ -24,7 +24,7 @@ def command(rig: Path, out: Path) -> int:
 
     \b
     Examples:
-      levid layout config/rigs/loopback.yaml --out layouts
+      levid layout loopback --out layouts
     """
     from ..config.rig import load_rig
     from ..log.errors import LogError, reason

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..config.command_line import command_line
 from ..identification.value_with_interval import told_from_zero, value_with_interval
 from .full_option import full_option
-from .output_folder_check import claimed_folder, naming_options, quoted, repeated, same_logs
+from .output_folder_check import claimed_folder, naming_options
 from .path_types import FOLDER, LOG, MODEL
 from .progress import progress, say
 
@@ -64,7 +65,7 @@ def command(
 
     \b
     Examples:
-      levid excite config/sessions/trace.yaml --virtual --out out/trace
+      levid excite trace --virtual --out out/trace
       levid trace out/trace/*.mcap --out out/trace/found
       levid trace out/trace/*.mcap --model out/trace/found/model.yaml --out out/again --json
       levid trace out/trace/*.mcap --dask tcp://127.0.0.1:8786 --out out/found
@@ -141,7 +142,7 @@ def trace_logs(
         )
         report("report", 0.95)
         try:
-            found.report(out, repeated("trace", logs, out, model=model))
+            found.report(out, command_line("trace", logs=logs, model=model, out=out))
         except Exception as error:  # noqa: BLE001 - raised after the results are printed
             return Traced(found, error)
     return Traced(found)
@@ -223,7 +224,7 @@ def _effect(found: FoundEffect) -> list[str]:
         "" if why.share is None else f"explains {100 * why.share:.3g} % of the remaining error; "
     )
     data = "held-out records confirm" if why.held else "cross-validation confirms"
-    lines.append(f"    {share}{data} it (z = {why.statistic:.0f})")
+    lines.append(f"    {share}{data} it (by {why.statistic:.0f} standard errors)")
     if why.alternatives:
         names = ", ".join(other.name for other in why.alternatives)
         lines.append(f"    these records do not distinguish it from: {names}")
@@ -264,7 +265,7 @@ def _is_imported(found: Trace) -> bool:
 
 def _identify_with(logs: Sequence[Path], out: Path) -> str:
     model, where = out / "model.yaml", out / "identification"
-    return f"levid identify {same_logs(logs)} --model {quoted(model)} --out {quoted(where)}"
+    return command_line("identify", logs=logs, model=model, out=where)
 
 
 def _next_of_rig(result: Outcome, logs: Sequence[Path], out: Path) -> str:

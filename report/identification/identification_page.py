@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from ...config.command_line import command_line
 from ...config.version import __version__
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
@@ -58,6 +58,9 @@ from .subspace import subspace_numbers, subspace_report, subspace_sections, subs
 
 _POOR_FIT_PERCENT = 50.0
 _FAST_S = 2e-4
+_BEAM = "beam"
+"""Shipped session in which the beam moves."""
+Fly = Callable[[str], str]
 _RESPONSE = re.compile(
     r"fitted-response|plant-(subspace|ho-kalman)|(multisine|point-\d+)-magnitude"
 )
@@ -69,6 +72,10 @@ _READ_REMARKS = (
 _NO_TRUTH = "Judge the model by held-out data and by the agreement of the methods."
 
 
+def _no_flight(_session: str) -> str:
+    return ""
+
+
 def identification_report(
     result: IdentificationResult | None,
     session: Session | None,
@@ -78,12 +85,16 @@ def identification_report(
     multisine: Sequence[BestLinearApproximation] = (),
     notes: Sequence[str] = (),
     command: str = "",
+    logs: Sequence[Path] = (),
+    fly: Fly = _no_flight,
 ) -> Path:
     """Write the report on an identification to `out_dir` and return the page's path.
 
     The page begins with the recommended plant: the fitted model if it leaves no more than noise,
     else the first reliable one of subspace, Ho-Kalman, multisines and open loop. The others follow,
-    folded. `command` reproduces the identification; it is shown at the end.
+    folded. `command` reproduces the identification; it is shown at the end. For the next steps,
+    `logs` are its logs, and `fly` returns the command by which the same rig flies a shipped
+    session, empty if it cannot.
 
     Args without results are omitted from the page: `result` is None without suitable records,
     `grey` without a declared model, `multisine` is empty without periodic records. `session` is the
@@ -106,15 +117,15 @@ def identification_report(
     others = [p for p in points if isinstance(p, OpenLoopPoint)]
     chapters: list[_Chapter] = []
     if grey is not None:
-        chapters.append(_grey_box_chapter(grey, closed, signals, truth, session, out_dir))
+        chapters.append(_grey_box_chapter(grey, closed, signals, truth, logs, out_dir, fly))
     if any(p.subspace for p in closed):
         chapters.append(_subspace_chapter(closed, signals, truth))
     if closed:
-        chapters.append(_closed_loop_chapter(closed, signals, truth, grey))
+        chapters.append(_closed_loop_chapter(closed, signals, truth, grey, fly))
     if multisine:
         chapters.append(_multisine_chapter(multisine, signals, truth))
     for number, point in enumerate(others, start=1):
-        chapters.append(_open_loop_chapter(point, signals, truth, number))
+        chapters.append(_open_loop_chapter(point, signals, truth, number, command))
     best = next((c for c in chapters if c.reliable), chapters[0])
     steps = tuple(dict.fromkeys(step for chapter in chapters for step in chapter.steps))
     answer: list[Part] = [Text(best.answer, "lead"), *(Next(*s) for s in (*best.steps, *steps)[:1])]
@@ -213,6 +224,7 @@ def _closed_loop_chapter(
     signals: SignalLabels,
     truth: Truth | None,
     grey: GreyBox | None,
+    fly: Fly,
 ) -> _Chapter:
     report = closed_loop_report(points, signals, truth)
     beam_moved = grey is not None and any(p.experiment.moving for p in grey.fit.predictions)
@@ -223,7 +235,7 @@ def _closed_loop_chapter(
         closed_loop_words(report),
         closed_loop_numbers(report),
         closed_loop_sections(report),
-        _after_closed_loop(report, beam_moved),
+        _after_closed_loop(report, beam_moved, fly),
     )
 
 
@@ -244,7 +256,11 @@ def _subspace_chapter(
 
 
 def _open_loop_chapter(
-    point: OpenLoopPoint, signals: SignalLabels, truth: Truth | None, number: int
+    point: OpenLoopPoint,
+    signals: SignalLabels,
+    truth: Truth | None,
+    number: int,
+    command: str,
 ) -> _Chapter:
     words = open_loop_words(point, signals)
     return _Chapter(
@@ -254,7 +270,7 @@ def _open_loop_chapter(
         words,
         open_loop_numbers(point),
         open_loop_sections(point, signals, truth, number),
-        _after_open_loop(point),
+        _after_open_loop(point, command),
     )
 
 
@@ -290,8 +306,9 @@ def _grey_box_chapter(
     points: Sequence[ClosedLoopPoint],
     signals: SignalLabels,
     truth: Truth | None,
-    session: Session | None,
+    logs: Sequence[Path],
     out_dir: Path,
+    fly: Fly,
 ) -> _Chapter:
     report = grey_box_report(grey, points, signals, truth)
     return _Chapter(
@@ -301,7 +318,7 @@ def _grey_box_chapter(
         grey_box_words(report),
         grey_box_numbers(report),
         grey_box_sections(report),
-        _after_grey_box(report, truth, session, out_dir),
+        _after_grey_box(report, logs, out_dir, fly),
     )
 
 
@@ -339,7 +356,9 @@ def _name(
     return grey.declared.name if grey is not None else ", ".join(multisine[0].records)
 
 
-def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple[str, str]]:
+def _after_closed_loop(
+    report: ClosedLoopReport, beam_moved: bool, fly: Fly
+) -> list[tuple[str, str]]:
     """Return the next steps, most urgent first."""
     steps = []
     orders = {point.order.order for point in report.points}
@@ -384,29 +403,28 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
         )
     if any(point.remarks for point in report.points):
         steps.append(_READ_REMARKS)
-    flight = " --virtual" if report.truth else ""
     if report.points[0].loop.Ts_s > _FAST_S:
         steps.append(
             (
                 "Fly the same session at 10 kHz, as in the paper, and compare.",
-                f"levid excite config/sessions/white-noise-10khz.yaml{flight} --out out/10khz",
+                fly("white-noise-10khz"),
             )
         )
     if not beam_moved:
-        steps.append(_move_the_beam(flight))
+        steps.append(_move_the_beam(fly))
     return steps
 
 
 def _after_grey_box(
-    report: GreyBoxReport, truth: Truth | None, session: Session | None, out_dir: Path
+    report: GreyBoxReport, logs: Sequence[Path], out_dir: Path, fly: Fly
 ) -> list[tuple[str, str]]:
     fit, steps = report.grey.fit, list[tuple[str, str]]()
     least, tests = least_chance(report)
     worst = report.worst
     if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
-        where = None if session is None else shlex.quote(str(session.steps[0].path.parent))
-        logs, out = ("LOG...", "DIR") if where is None else (f"{where}/*.mcap", f"{where}/trace")
-        steps.append(("Find the effect that the model lacks.", f"levid trace {logs} --out {out}"))
+        model, out = out_dir / "model.yaml", out_dir / "trace"
+        trace = command_line("trace", logs=logs, model=model, out=out) if logs else ""
+        steps.append(("Find the effect that the model lacks.", trace))
     if fit.unidentifiable:
         names = listed([u.name for u in fit.unidentifiable])
         steps.append(
@@ -416,8 +434,8 @@ def _after_grey_box(
                 "",
             )
         )
-        if report.grey.declared.scheduling and not report.moving and session is not None:
-            steps.append(_move_the_beam(" --virtual" if truth else ""))
+        if report.grey.declared.scheduling and not report.moving and fly(_BEAM):
+            steps.append(_move_the_beam(fly))
     if fit.at_bound:
         steps.append(
             (f"Check {listed(list(fit.at_bound))}: the fit ended at a bound of the model file.", "")
@@ -428,14 +446,14 @@ def _after_grey_box(
     return steps
 
 
-def _move_the_beam(flight: str) -> tuple[str, str]:
+def _move_the_beam(fly: Fly) -> tuple[str, str]:
     return (
         "Fly a moving beam, and compare the platform's motion with the model (Fig. 14).",
-        f"levid excite config/sessions/beam.yaml{flight} --out out/beam",
+        fly(_BEAM),
     )
 
 
-def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
+def _after_open_loop(point: OpenLoopPoint, command: str) -> list[tuple[str, str]]:
     # A constant output has no fit; NaN does not count as a poor fit.
     poor = [h for h in point.holdout if np.any(h.simulated_fit_percent < _POOR_FIT_PERCENT)]
     if poor:
@@ -447,7 +465,7 @@ def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
             )
         ]
     what = "Use the model. This command prints its matrices:"
-    return [(what, "levid identify LOG --out DIR --json")]
+    return [(what, f"{command} --json" if command else "")]
 
 
 def _record_parts(

@@ -14,8 +14,8 @@ from levid.identification.greybox.declared_model_from_config import declared_mod
 from levid.identification.greybox.experiment.experiment_from_log import experiment_from_log
 from levid.identification.greybox.prediction.noise_model import Noise
 from levid.identification.greybox.prediction.prediction_errors import predict
-from levid.identification.records.rig_model import rig_model
 from levid.identification.records.record import IdentificationError
+from levid.identification.records.rig_model import rig_model
 from levid.log.reader import Log
 from levid.log.signals import cycle_dtype
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -181,6 +181,7 @@ class Identification:
         Raises:
             ConfigError: the folder cannot be written.
         """
+        from .next_flight import next_flight
         from .session import first_flight
 
         out, found = Path(folder), self._found
@@ -189,6 +190,7 @@ class Identification:
             if found.grey is not None:
                 self.model.save(out / "model.yaml")
             save_result(out, self.to_json())
+            from ..report.identification.chapters import Commands
             from ..report.identification.identification_page import identification_report
             from ..report.session.flight_data import read_session
 
@@ -200,7 +202,7 @@ class Identification:
                 found.grey,
                 found.multisine,
                 found.notes,
-                command,
+                Commands(command, self._session.logs, partial(next_flight, self._session)),
             )
             save_result(out, self.to_json())
         return self._page

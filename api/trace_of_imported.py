@@ -57,7 +57,7 @@ class ImportedTrace(Trace):
     def _write_page(self, out: Path, command: str) -> Path:
         from ..report.trace.imported_page import imported_report
 
-        return imported_report(self._found, out, command)
+        return imported_report(self._found, out, command, self._session.logs)
 
     def _draw_errors(self) -> Figure:
         from ..report.trace.missing_force import missing_force

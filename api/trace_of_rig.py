@@ -92,7 +92,7 @@ class RigTrace(Trace):
     def _write_page(self, out: Path, command: str) -> Path:
         from ..report.trace.trace_page import trace_report
 
-        return trace_report(self._found, self._views, out, command)
+        return trace_report(self._found, self._views, out, command, self._session.logs)
 
     def _draw_errors(self) -> Figure:
         from ..report.trace.trace_figures import errors_by_record

@@ -67,7 +67,7 @@ def command(
 
     \b
     Examples:
-      levid check config/rigs/loopback.yaml config/sessions/beam.yaml
+      levid check loopback beam
       levid check out/first/*.mcap
       levid check --preflight my-rig.yaml my-session.yaml --out /data/today
       levid check --json *.yaml

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .output_folder_check import quoted, writable_folder
+from ..config.command_line import command_line
+from .output_folder_check import writable_folder
 from .path_types import RIG, YAML
 from .progress import progress, say
 
@@ -284,7 +285,9 @@ def _print(
     click.echo(f"{written}: written")
     first = written.with_stem(f"{written.stem}-first-lift")
     click.echo(f"{first}: written, with tight limits for the first lift")
-    say(f"next: levid check {quoted(written)}, then levid run {quoted(first)} and levid levitate")
+    say(f"next: {command_line('check', written)}")
+    say(f"then, each in its own terminal: {command_line('run', first)}")
+    say(f"                                {command_line('levitate', rig=first)}")
 
 
 def _as_json(

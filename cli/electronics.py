@@ -25,8 +25,8 @@ def command(rig: Path) -> int:
 
     \b
     Examples:
-      levid electronics config/rigs/serial.yaml
-      levid run config/rigs/serial.yaml       # in another terminal
+      levid electronics serial
+      levid run serial       # in another terminal
     """
     from ..config.rig import load_rig
     from ..sim.electronics.emulated_rig import Electronics

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..config.command_line import command_line
 from .full_option import full_option
-from .output_folder_check import logs_in, naming_out, quoted
+from .output_folder_check import naming_out
 from .path_types import FOLDER, RIG, SESSION, SIM
 from .progress import progress, say
 from .report_errors import exit_code_of_report, report_or_error
@@ -88,10 +89,10 @@ def command(
 
     \b
     Examples:
-      levid excite config/sessions/white-noise-1khz.yaml --virtual --out out/first
-      levid excite my-session.yaml --sim config/sims/rig.yaml --virtual --out out/second
-      levid excite config/sessions/beam.yaml --out out/beam --note "new rods, 21 degrees C"
-      levid excite config/sessions/beam.yaml --out /var/lib/levid/today
+      levid excite white-noise-1khz --virtual --out out/first
+      levid excite my-session.yaml --sim rig --virtual --out out/second
+      levid excite beam --out out/beam --note "new rods, 21 degrees C"
+      levid excite beam --out /var/lib/levid/today
     """
     from ..config.session import load_session
 
@@ -193,8 +194,8 @@ def _on_daemon(
     except KeyboardInterrupt:
         if if_gone != "land":
             say(
-                "the flight goes on or lands, as service.client_gone of the rig says; `levid land` "
-                "lands it"
+                "the flight goes on or lands, as service.client_gone of the rig says; "
+                f"`{command_line('land', rig=rig_path)}` lands it"
             )
         raise
 
@@ -204,7 +205,7 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path, full:
     from ..daemon.recording.post_processing import HandoverError, hand_over
 
     excited = any(step.record is not None and step.record.excite for step in config.steps)
-    next_command = f"levid identify {logs_in(out)} --out {quoted(out / 'identification')}"
+    next_command = command_line("identify", logs=result.logs, out=out / "identification")
     if result.stopped:
         say(f"landed on request before the session's end; to use its logs: {next_command}")
         return 1
@@ -218,8 +219,8 @@ def _after_landing(config: SessionConfig, result: FlightResult, out: Path, full:
                 hand_over(verb, result.logs, out / _REPORT_FOLDERS[verb])  # prints the report path
             except HandoverError as error:  # the other commands still run
                 say(f"error: {error}")
-                again = f"{verb} {logs_in(out)} --out {quoted(out / _REPORT_FOLDERS[verb])}"
-                say(f"to repeat it: levid {again}")
+                again = command_line(verb, logs=result.logs, out=out / _REPORT_FOLDERS[verb])
+                say(f"to repeat it: {again}")
                 failed.append(verb)
         return 1 if failed else 0
     pages = []

@@ -64,10 +64,10 @@ def command(
 
     \b
     Examples:
-      levid export out/first/02-psi.mcap -o psi.csv
-      levid export out/first/02-psi.mcap -o psi.mat --columns gap_m,pose,v_psi_n_m
+      levid export out/first/02-left-psi.mcap -o psi.csv
+      levid export out/first/02-left-psi.mcap -o psi.mat --columns gap_m,pose,v_psi_n_m
       levid export out/first/*.mcap --format parquet -o out/first/tables
-      levid export out/first/02-psi.mcap -o slow.csv --begin-s 10 --end-s 60 --every 10
+      levid export out/first/02-left-psi.mcap -o slow.csv --begin-s 10 --end-s 60 --every 10
     """
     from ..log.errors import LogError
     from ..log.exporting.export_log import ExportOptions, export_log

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..config.command_line import command_line
 from .full_option import full_option
-from .output_folder_check import claimed_folder, naming_options, older_results, repeated
+from .output_folder_check import claimed_folder, naming_options, older_results
 from .path_types import FOLDER, LOG, MODEL, SIM
 from .progress import progress, say
 from .report_errors import exit_code_of_report, report_or_error
@@ -148,7 +149,7 @@ def identify_logs(
         given["impulse_s"] = impulse_s
         if markov != "least_squares":
             given["markov"] = markov
-        command = repeated("identify", logs, out, **given)
+        command = command_line("identify", logs=logs, **given, out=out)
         undrawn = report_or_error(lambda: found.report(out, command))
     return found, undrawn
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .output_folder_check import quoted, same_logs
+from ..config.command_line import command_line, quoted
 from .path_types import ANY, DATA, SIGNALS
 from .progress import say
 
@@ -57,9 +57,10 @@ def command(file: Path, signals: Path, out: Path) -> int:
 
 def _print_next(out: Path, found: Imported) -> None:
     folder = out.with_suffix("") if out.suffix else out.with_name(f"{out.name}-identified")
-    logs = same_logs([path for path, _ in found.logs])
-    say(f"next: levid identify {logs} --out {quoted(folder)}")
+    logs = [path for path, _ in found.logs]
+    model = "MODEL.yaml"
+    say(f"next: {command_line('identify', logs=logs, out=folder)}")
     say("With a MODEL.yaml of the plant (docs/configuration.md#modelyaml), fit its parameters:")
-    say(f"      levid identify {logs} --model MODEL.yaml --out {quoted(folder)}")
+    say(f"      {command_line('identify', logs=logs, model=model, out=folder)}")
     say("and find effects that it lacks:")
-    say(f"      levid trace {logs} --model MODEL.yaml --out {quoted(folder / 'trace')}")
+    say(f"      {command_line('trace', logs=logs, model=model, out=folder / 'trace')}")

@@ -35,7 +35,7 @@ def command(paths: tuple[Path, ...], columns: bool, as_json: bool) -> int:
     \b
     Examples:
       levid info out/first
-      levid info out/first/02-psi.mcap --columns
+      levid info out/first/02-left-psi.mcap --columns
       levid info out/first/identification
       levid info out/first --json
     """

@@ -24,7 +24,7 @@ def command(rig: Path, out: Path) -> int:
 
     \b
     Examples:
-      levid layout config/rigs/loopback.yaml --out layouts
+      levid layout loopback --out layouts
     """
     from ..config.files.atomic_write import write_file
     from ..config.files.folders import make_folder

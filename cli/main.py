@@ -123,8 +123,8 @@ def levid() -> None:
     \b
     Examples:
       levid demo
-      levid check config/rigs/loopback.yaml
-      levid excite config/sessions/white-noise-1khz.yaml --virtual --out out/first
+      levid check loopback
+      levid excite white-noise-1khz --virtual --out out/first
       levid identify out/first/*.mcap --out out/first/identification
       levid trace out/trace/*.mcap --out out/trace/found
     """

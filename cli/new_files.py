@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
+from ..config.command_line import command_line
 from ..config.shipped import find_file, shipped_file, shipped_names
 from .command_group import SuggestingGroup
-from .output_folder_check import quoted
 from .path_types import DATA, YAML, ShippedName
 from .progress import say
 
@@ -97,7 +97,7 @@ def signals(file: Path, out: Path | None) -> int:
     for text in draft.check:
         click.echo(text if text.startswith("check") else f"check: {text.replace(': check:', ':')}")
     log = out.with_suffix(".mcap")
-    say(f"next: levid import {quoted(file)} --signals {quoted(out)} -o {quoted(log)}")
+    say(f"next: {command_line('import', file, signals=out, out=log)}")
     return 0
 
 
@@ -107,7 +107,7 @@ def _copy(name: str, kind: str, out: Path | None) -> int:
     out = Path(source.name) if out is None else out
     _write(out, copy_of(source.read_text(encoding="utf-8"), out.stem))
     click.echo(f"{out}: copy of the shipped {kind} {source.stem} written")
-    say(f"next: levid check {quoted(out)}")
+    say(f"next: {command_line('check', out)}")
     return 0
 
 

@@ -1,14 +1,11 @@
-"""Name --out in errors of output folders, and quote paths for printed shell commands."""
+"""Name --out in errors of output folders."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from ..config.escaping import shell_word
-
-_MOST_NAMED = 3  # logs that a printed command names one by one
 _FILE_TIME_RESOLUTION_S = 0.05
 
 
@@ -70,34 +67,3 @@ def older_results(out: Path, names: Iterable[str], began_s: float) -> list[Path]
     return [
         p for p in paths if p.exists() and p.stat().st_mtime < began_s - _FILE_TIME_RESOLUTION_S
     ]
-
-
-def logs_in(folder: Path) -> str:
-    """Return the shell pattern of all logs in a folder."""
-    return f"{shell_word(folder)}/*.mcap"
-
-
-def quoted(*paths: Path) -> str:
-    """Return paths quoted for a shell."""
-    return " ".join(map(shell_word, paths))
-
-
-def repeated(verb: str, logs: Sequence[Path], out: Path, **options: object) -> str:
-    """Return the command that repeats a result; options that are None were not given."""
-    given = [
-        f"--{name.replace('_', '-')} {shell_word(value if isinstance(value, Path) else str(value))}"
-        for name, value in options.items()
-        if value is not None
-    ]
-    return " ".join([f"levid {verb} {same_logs(logs)}", *given, f"--out {quoted(out)}"])
-
-
-def same_logs(logs: Sequence[Path]) -> str:
-    """Return logs quoted for a shell; all logs of a folder become one pattern."""
-    if len(logs) <= _MOST_NAMED:
-        return quoted(*logs)
-    words = []
-    for folder in dict.fromkeys(log.parent for log in logs):
-        own = [log for log in logs if log.parent == folder]
-        words.append(logs_in(folder) if set(own) == set(folder.glob("*.mcap")) else quoted(*own))
-    return " ".join(words)

@@ -24,8 +24,8 @@ def command(rig: Path) -> int:
 
     \b
     Examples:
-      levid run config/rigs/loopback.yaml
-      levid excite config/sessions/beam.yaml --out out/beam     # in another terminal
+      levid run loopback
+      levid excite beam --out out/beam     # in another terminal
       levid status
     """
     from ..config.base import ConfigError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .output_folder_check import quoted
+from ..config.command_line import command_line
 from .path_types import FOLDER, LOG
 from .progress import say
 
@@ -95,7 +95,7 @@ def _print(found: Salvaged, written: tuple[Path, ...]) -> None:
             "--like and an undamaged log of the same session"
         )
         return
-    say(f"next: levid identify {quoted(*written)} --out {quoted(written[0].with_suffix(''))}")
+    say(f"next: {command_line('identify', logs=written, out=written[0].with_suffix(''))}")
 
 
 def _as_json(found: Salvaged, written: tuple[Path, ...]) -> dict[str, object]:

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..config.command_line import command_line
 from ..identification.value_with_interval import told_from_zero, value_with_interval
 from .full_option import full_option
-from .output_folder_check import claimed_folder, naming_options, quoted, repeated, same_logs
+from .output_folder_check import claimed_folder, naming_options
 from .path_types import FOLDER, LOG, MODEL
 from .progress import progress, say
 from .report_errors import exit_code_of_report, report_or_error
@@ -65,7 +66,7 @@ def command(
 
     \b
     Examples:
-      levid excite config/sessions/trace.yaml --virtual --out out/trace
+      levid excite trace --virtual --out out/trace
       levid trace out/trace/*.mcap --out out/trace/found
       levid trace out/trace/*.mcap --model out/trace/found/model.yaml --out out/again --json
       levid trace out/trace/*.mcap --dask tcp://127.0.0.1:8786 --out out/found
@@ -138,7 +139,7 @@ def trace_logs(
             say,
         )
         report("report", 0.95)
-        command = repeated("trace", logs, out, model=model)
+        command = command_line("trace", logs=logs, model=model, out=out)
         return Traced(found, report_or_error(lambda: found.report(out, command)))
 
 
@@ -218,7 +219,7 @@ def _effect(found: FoundEffect) -> list[str]:
         "" if why.share is None else f"explains {100 * why.share:.3g} % of the remaining error; "
     )
     data = "held-out records confirm" if why.held else "cross-validation confirms"
-    lines.append(f"    {share}{data} it (z = {why.statistic:.0f})")
+    lines.append(f"    {share}{data} it (by {why.statistic:.0f} standard errors)")
     if why.alternatives:
         names = ", ".join(other.name for other in why.alternatives)
         lines.append(f"    these records do not distinguish it from: {names}")
@@ -259,7 +260,7 @@ def _is_imported(found: Trace) -> bool:
 
 def _identify_with(logs: Sequence[Path], out: Path) -> str:
     model, where = out / "model.yaml", out / "identification"
-    return f"levid identify {same_logs(logs)} --model {quoted(model)} --out {quoted(where)}"
+    return command_line("identify", logs=logs, model=model, out=where)
 
 
 def _next_of_rig(result: Outcome, logs: Sequence[Path], out: Path) -> str:

@@ -78,7 +78,7 @@ def _law(law: FoundLaw) -> list[str]:
     lines = [f"  {law.name}" + ("" if law.free else f": {values} (95 %)"), f"    {effect.equation}"]
     lines.append(
         f"    explains {100 * rated.share:.3g} % of the squared missing force in held-out blocks "
-        f"(z = {rated.gain.statistic:.1f})"
+        f"({rated.gain.statistic:.1f} times its standard error)"
     )
     if law.alternatives:
         how = effect.told_apart_by or "another excitation"

@@ -5,9 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from pygments.lexers import TextLexer
 from sphinx.application import Sphinx
-from sphinx.highlighting import lexers
 
 ROOT = Path(__file__).resolve().parent.parent
 # Holds a link named levid to this checkout, whatever the folder of the checkout is named.
@@ -26,7 +24,6 @@ myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
 # Notebooks run in the tests, with a time limit; the site shows their text and code.
 nb_execution_mode = "off"
-lexers["mermaid"] = TextLexer()
 
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...config.escaping import shell_word
+from ...config.command_line import command_line
 from ...config.rig import RigConfig
 from ...daemon.commissioning.commission import Commissioned
 from ...daemon.commissioning.corrections import (
@@ -113,14 +113,14 @@ def _steps(written: Path | None) -> tuple[tuple[str, str], ...]:
     """Return the next steps with the corrected copy of RIG.yaml; None: there is none yet."""
     if written is None:
         return (("Repair these channels, and commission again", ""),)
-    copy = shell_word(written)
-    first = shell_word(written.with_stem(f"{written.stem}-first-lift"))
+    first = written.with_stem(f"{written.stem}-first-lift")
+    lift, land = (command_line(verb, rig=first) for verb in ("levitate", "land"))
     return (
         ("Check the corrected rig and what the daemon asks before a lift-off",
-         f"levid check {copy} && levid check --preflight {copy}"),
-        ("Start the daemon with tight limits", f"levid run {first}"),
-        ("Lift off for the first time, then land", "levid levitate && levid land"),
-        ("From then on", f"levid run {copy}"),
+         f"{command_line('check', written)} && {command_line('check', written, preflight=True)}"),
+        ("Start the daemon with tight limits", command_line("run", first)),
+        ("Lift off for the first time, then land", f"{lift} && {land}"),
+        ("From then on", command_line("run", written)),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...config.escaping import shell_word
+from ...config.command_line import command_line
 from ...identification.greybox.compare_with_black_box import compare_with_black_box
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
@@ -19,7 +19,6 @@ from ..figures.response_deviation import worst_on_diagonal
 from ..plotting.figure_to_svg import Picture
 from ..plotting.html_page import Figures, Number, Part, Section, Text
 from ..plotting.labelled_frequency_responses import SignalLabels
-from ..session.flight_data import Session
 from ..session.session_page import listed
 from .closed_loop import (
     ClosedLoopReport,
@@ -47,6 +46,8 @@ from .subspace import subspace_numbers, subspace_report, subspace_sections, subs
 
 _POOR_FIT_PERCENT = 50.0
 _FAST_S = 2e-4
+_BEAM = "beam"
+"""Shipped session in which the beam moves."""
 _RESPONSE = re.compile(
     r"fitted-response|plant-(subspace|ho-kalman)|(multisine|point-\d+)-magnitude"
 )
@@ -57,13 +58,26 @@ _READ_REMARKS = (
 )
 
 
+@dataclass(frozen=True)
+class Commands:
+    """What the commands of next steps are made of.
+
+    identify: the command that repeats the identification. logs: its logs. fly: returns the command
+    by which the same rig flies a shipped session, empty if it cannot.
+    """
+
+    identify: str = ""
+    logs: Sequence[Path] = ()
+    fly: Callable[[str], str] = lambda _session: ""
+
+
 def identification_chapters(
     result: IdentificationResult | None,
     grey: GreyBox | None,
     multisine: Sequence[BestLinearApproximation],
     truth: Truth | None = None,
-    session: Session | None = None,
     out_dir: Path = Path(),
+    commands: Commands | None = None,
 ) -> list[Chapter]:
     """Return a chapter for each method, the recommended one first.
 
@@ -79,20 +93,21 @@ def identification_chapters(
             "expected at least one operating point, fitted model or multisine to report on, found "
             "none"
         )
+    commands = commands or Commands()
     signals = signals_of(result, grey, multisine)
     closed = [p for p in points if isinstance(p, ClosedLoopPoint)]
     others = [p for p in points if isinstance(p, OpenLoopPoint)]
     chapters: list[Chapter] = []
     if grey is not None:
-        chapters.append(_grey_box_chapter(grey, closed, others, signals, truth, session, out_dir))
+        chapters.append(_grey_box_chapter(grey, closed, others, signals, truth, out_dir, commands))
     if any(p.subspace for p in closed):
         chapters.append(_subspace_chapter(closed, signals, truth))
     if closed:
-        chapters.append(_closed_loop_chapter(closed, signals, truth, grey))
+        chapters.append(_closed_loop_chapter(closed, signals, truth, grey, commands))
     if multisine:
         chapters.append(_multisine_chapter(multisine, signals, truth))
     for number, point in enumerate(others, start=1):
-        chapters.append(_open_loop_chapter(point, signals, truth, number))
+        chapters.append(_open_loop_chapter(point, signals, truth, number, commands))
     doubted = [c for c in chapters if c.doubted]
     best = next((c for c in chapters if c.reliable), (doubted or chapters)[0])
     return [best, *(c for c in chapters if c is not best)]
@@ -161,6 +176,7 @@ def _closed_loop_chapter(
     signals: SignalLabels,
     truth: Truth | None,
     grey: GreyBox | None,
+    commands: Commands,
 ) -> Chapter:
     report = closed_loop_report(points, signals, truth)
     beam_moved = grey is not None and any(p.experiment.moving for p in grey.fit.predictions)
@@ -172,7 +188,7 @@ def _closed_loop_chapter(
         closed_loop_words(report),
         closed_loop_numbers(report),
         lambda: closed_loop_sections(report),
-        _after_closed_loop(report, beam_moved),
+        _after_closed_loop(report, beam_moved, commands),
     )
 
 
@@ -195,7 +211,11 @@ def _subspace_chapter(
 
 
 def _open_loop_chapter(
-    point: OpenLoopPoint, signals: SignalLabels, truth: Truth | None, number: int
+    point: OpenLoopPoint,
+    signals: SignalLabels,
+    truth: Truth | None,
+    number: int,
+    commands: Commands,
 ) -> Chapter:
     words = open_loop_words(point, signals)
     return Chapter(
@@ -206,7 +226,7 @@ def _open_loop_chapter(
         open_loop_numbers(point),
         lambda: open_loop_sections(point, signals, truth, number),
         _after_open_loop(point),
-        _use_of_open_loop(point),
+        _use_of_open_loop(point, commands),
         doubted=not point.trusted,
     )
 
@@ -244,8 +264,8 @@ def _grey_box_chapter(
     others: Sequence[OpenLoopPoint],
     signals: SignalLabels,
     truth: Truth | None,
-    session: Session | None,
     out_dir: Path,
+    commands: Commands,
 ) -> Chapter:
     report = grey_box_report(grey, points, signals, truth)
     beside = compare_with_black_box(grey, others)
@@ -259,7 +279,7 @@ def _grey_box_chapter(
         grey_box_words(report),
         grey_box_numbers(report),
         lambda: grey_box_sections(report),
-        _after_grey_box(report, truth, session, out_dir),
+        _after_grey_box(report, out_dir, commands),
     )
 
 
@@ -284,7 +304,9 @@ def signals_of(
     return SignalLabels(names, s.input_units, s.output_names, s.output_units)
 
 
-def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple[str, str]]:
+def _after_closed_loop(
+    report: ClosedLoopReport, beam_moved: bool, commands: Commands
+) -> list[tuple[str, str]]:
     """Return the next steps, most urgent first."""
     steps = []
     orders = {point.order.order for point in report.points}
@@ -329,29 +351,28 @@ def _after_closed_loop(report: ClosedLoopReport, beam_moved: bool) -> list[tuple
         )
     if any(point.remarks for point in report.points):
         steps.append(_READ_REMARKS)
-    flight = " --virtual" if report.truth else ""
     if report.points[0].loop.Ts_s > _FAST_S:
         steps.append(
             (
                 "Fly the same session at 10 kHz, as in the paper, and compare.",
-                f"levid excite config/sessions/white-noise-10khz.yaml{flight} --out out/10khz",
+                commands.fly("white-noise-10khz"),
             )
         )
     if not beam_moved:
-        steps.append(_move_the_beam(flight))
+        steps.append(_move_the_beam(commands))
     return steps
 
 
 def _after_grey_box(
-    report: GreyBoxReport, truth: Truth | None, session: Session | None, out_dir: Path
+    report: GreyBoxReport, out_dir: Path, commands: Commands
 ) -> list[tuple[str, str]]:
     fit, steps = report.grey.fit, list[tuple[str, str]]()
     least, tests = least_chance(report)
     worst = report.worst
     if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
-        where = None if session is None else shell_word(session.steps[0].path.parent)
-        logs, out = ("LOG...", "DIR") if where is None else (f"{where}/*.mcap", f"{where}/trace")
-        steps.append(("Find the effect that the model lacks.", f"levid trace {logs} --out {out}"))
+        logs, model, out = commands.logs, out_dir / "model.yaml", out_dir / "trace"
+        trace = command_line("trace", logs=logs, model=model, out=out) if logs else ""
+        steps.append(("Find the effect that the model lacks.", trace))
     if fit.unidentifiable:
         names = listed([u.name for u in fit.unidentifiable])
         steps.append(
@@ -361,8 +382,8 @@ def _after_grey_box(
                 "",
             )
         )
-        if report.grey.declared.scheduling and not report.moving and session is not None:
-            steps.append(_move_the_beam(" --virtual" if truth else ""))
+        if report.grey.declared.scheduling and not report.moving and commands.fly(_BEAM):
+            steps.append(_move_the_beam(commands))
     if fit.at_bound:
         steps.append(
             (f"Check {listed(list(fit.at_bound))}: the fit ended at a bound of the model file.", "")
@@ -373,10 +394,10 @@ def _after_grey_box(
     return steps
 
 
-def _move_the_beam(flight: str) -> tuple[str, str]:
+def _move_the_beam(commands: Commands) -> tuple[str, str]:
     return (
         "Fly a moving beam, and compare the platform's motion with the model (Fig. 14).",
-        f"levid excite config/sessions/beam.yaml{flight} --out out/beam",
+        commands.fly(_BEAM),
     )
 
 
@@ -397,11 +418,11 @@ def _after_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
     ]
 
 
-def _use_of_open_loop(point: OpenLoopPoint) -> list[tuple[str, str]]:
+def _use_of_open_loop(point: OpenLoopPoint, commands: Commands) -> list[tuple[str, str]]:
     if _after_open_loop(point):
         return []
     what = "Use the model. This command prints its matrices:"
-    return [(what, "levid identify LOG --out DIR --json")]
+    return [(what, f"{commands.identify} --json" if commands.identify else "")]
 
 
 def _advice(model: str, doubts: Sequence[Sequence[str]], trusted: bool) -> str:

@@ -25,7 +25,7 @@ from ..plotting.html_page import (
 from ..plotting.style import signed
 from ..session.flight_data import Session
 from ..session.session_page import session_sections, session_words
-from .chapters import identification_chapters
+from .chapters import Commands, identification_chapters
 from .closed_loop import Truth
 
 _NO_TRUTH = "Judge the model by held-out data and by the agreement of the methods."
@@ -39,12 +39,12 @@ def identification_report(
     grey: GreyBox | None = None,
     multisine: Sequence[BestLinearApproximation] = (),
     notes: Sequence[str] = (),
-    command: str = "",
+    commands: Commands | None = None,
 ) -> Path:
     """Write the report on an identification to `out_dir` and return the page's path.
 
     The page begins with the answer and the recommended model (`identification_chapters`). The
-    others follow, folded. `command` reproduces the identification; it is shown at the end.
+    others follow, folded. The command that repeats the identification is shown at the end.
 
     Args without results are omitted from the page: `result` is None without suitable records,
     `grey` without a declared model, `multisine` is empty without periodic records. `session` is the
@@ -56,7 +56,7 @@ def identification_report(
         ValueError: nothing was identified.
         OSError: the page cannot be written.
     """
-    best, *others = identification_chapters(result, grey, multisine, truth, session, out_dir)
+    best, *others = identification_chapters(result, grey, multisine, truth, out_dir, commands)
     steps = tuple(dict.fromkeys(step for c in (best, *others) for step in c.steps))
     steps = (*best.use, *steps)
     answer: list[Part] = [Text(best.answer, "lead"), *(Next(*s) for s in (*best.steps, *steps)[:1])]
@@ -80,7 +80,7 @@ def identification_report(
         flown = [replace(s, folded=True) for s in session_sections(session)]
         details += _versions_parts(session)
     sections = _numbered_once([Section("Answer", tuple(answer)), *sections, *flown])
-    sections.append(Section("Records and provenance", (*details, *_provenance(command))))
+    sections.append(Section("Records and provenance", (*details, *_provenance(commands))))
     title = f"Identification of '{_name(result, session, grey, multisine)}'"
     return write_report(out_dir, title, sections)
 
@@ -90,8 +90,9 @@ def _without(section: Section, shown: Sequence[Part]) -> Section:
     return replace(section, parts=tuple(part for part in section.parts if part not in shown))
 
 
-def _provenance(command: str) -> tuple[Part, ...]:
+def _provenance(commands: Commands | None) -> tuple[Part, ...]:
     version = Text(f"Written by levid {__version__}.", "note")
+    command = "" if commands is None else commands.identify
     if not command:
         return (version,)
     return version, Steps((("This command repeats the identification:", command),))

@@ -33,7 +33,7 @@ MOST_BYTES = 1_500_000
 """Largest page without `all_samples`, if its static part and its shortest charts permit."""
 _CHART_FILES = (
     *("colours_and_numbers.js", "chart_data.js", "ticks.js", "shared_axis.js"),
-    *("marker_shapes.js", "panel_view.js", "charts.js"),
+    *("marker_shapes.js", "readout_place.js", "panel_view.js", "charts.js"),
 )
 _UPLOT_FILE = "vendor/uPlot.iife.min.js"
 _LICENCE_FILE = "vendor/uPlot-LICENSE.txt"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...config.escaping import shell_word
+from ...config.command_line import command_line
 from ...daemon.control.states import State
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import (
@@ -59,8 +59,8 @@ def _session_page(session: Session, out_dir: Path) -> Path:
     folder = session.steps[0].path.parent
     next_step = ("Fly a session that excites every input, then identify it.", "")
     if any(step.excited for step in session.steps):
-        where = shell_word(folder)
-        command = f"levid identify {where}/*.mcap --out {where}/identification"
+        logs = sorted(folder.glob("*.mcap"))
+        command = command_line("identify", logs=logs, out=folder / "identification")
         next_step = ("Identify the plant from the records.", command)
     words = f"{session_words(session)} {_verdict(session)}".rstrip()
     summary = (Text(words, "lead"), Next(*next_step), Figures(session_numbers(session)))

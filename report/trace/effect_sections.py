@@ -62,7 +62,7 @@ def _random_parts(force: RandomForce) -> tuple[Part, ...]:
         Text(f"{force.equation}.", "lead"),
         Text(
             "A random force cannot be predicted, so model.yaml does not contain it. Its power in "
-            f"held-out records exceeds that of noise (z = {s.statistic:.0f})."
+            f"held-out records exceeds that of noise (by {s.statistic:.0f} standard errors)."
         ),
         Table(
             "Parameters with 95 % intervals",
@@ -146,7 +146,7 @@ def _parts(found: FoundEffect, views: Views, number: int) -> list[Part]:
                 f"Added in round {why.round}. Four-fold cross-validation: the squared error falls "
                 f"by {why.explained:,.0f} noise variances"
                 + ("" if why.share is None else f", {share_text(why.share)}")
-                + f". {confirmed} (z = {why.statistic:.0f})."
+                + f". {confirmed} (by {why.statistic:.0f} standard errors)."
             )
         )
     parts.append(_parameter_table(found))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...config.escaping import shell_word
+from ...config.command_line import command_line
 from ...config.model import EffectParameter
 from ...config.version import __version__
 from ...identification.trace.force_balance.reported_errors import ReportedError
@@ -40,18 +40,20 @@ from .law_shapes import law_shapes
 from .missing_force import missing_force
 
 
-def imported_report(trace: ForceTrace, out_dir: Path, command: str = "") -> Path:
+def imported_report(
+    trace: ForceTrace, out_dir: Path, command: str = "", logs: Sequence[Path] = ()
+) -> Path:
     """Write the report on a trace of imported records and return the page's path.
 
     The page begins with the answer; parameters, evidence, method and provenance follow. `command`
-    reproduces the trace; it is shown at the end.
+    reproduces the trace; it is shown at the end. `logs`: the traced logs, for the next command.
 
     Raises:
         OSError: the page cannot be written.
     """
     result = force_outcome(trace)
     picture, errors = _force_parts(trace, result)
-    steps = _steps(result, out_dir)
+    steps = _steps(result, out_dir, logs)
     sections = [
         Section("Answer", (*_answer(trace, result, steps), picture)),
         *_effects(result),
@@ -326,13 +328,12 @@ def _records(trace: ForceTrace) -> Table:
     )
 
 
-def _steps(result: ForceOutcome, out_dir: Path) -> Sequence[tuple[str, str]]:
-    model = shell_word(out_dir / "model.yaml")
+def _steps(result: ForceOutcome, out_dir: Path, logs: Sequence[Path]) -> Sequence[tuple[str, str]]:
     if result.exchange is not None:
         again = (
             "Compare columns and units in the signals files with the rig, import and trace again."
         )
-        return [(again, "levid import TABLE --signals SIGNALS.yaml -o LOG.mcap")]
+        return [(again, "")]
     steps = []
     for law in result.laws:
         if law.alternatives:
@@ -343,7 +344,14 @@ def _steps(result: ForceOutcome, out_dir: Path) -> Sequence[tuple[str, str]]:
             (
                 "Identify the plant with these effects in the model. Their force is subtracted "
                 "from the records first.",
-                f"levid identify LOG... --model {model} --out DIR",
+                command_line(
+                    "identify",
+                    logs=logs,
+                    model=out_dir / "model.yaml",
+                    out=out_dir / "identification",
+                )
+                if logs
+                else "",
             )
         )
     steps.append(

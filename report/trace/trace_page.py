@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...config.escaping import shell_word
+from ...config.command_line import command_line
 from ...config.model import EffectParameter
 from ...identification.trace.figure_data import Views
 from ...identification.trace.found_effects_summary import outcome
@@ -44,18 +44,20 @@ from .trace_sections import error_parts, model_section, records_section, search_
 _MOST_NAMED = 2
 
 
-def trace_report(found: Trace, views: Views, out_dir: Path, command: str = "") -> Path:
+def trace_report(
+    found: Trace, views: Views, out_dir: Path, command: str = "", logs: Sequence[Path] = ()
+) -> Path:
     """Write the report on a trace to `out_dir` and return the page's path.
 
     The page begins with the answer; parameters, evidence, method and provenance follow. `command`
-    reproduces the trace; it is shown at the end.
+    reproduces the trace; it is shown at the end. `logs`: the traced logs, for the next command.
 
     Raises:
         OSError: the page cannot be written.
     """
     result = outcome(found)
     spectrum, *errors = error_parts(found, result, views)
-    steps = _steps(result, out_dir)
+    steps = _steps(result, out_dir, logs)
     sections = [
         Section("Answer", (*_answer(found, result, steps), spectrum)),
         *_effect_table(result, views),
@@ -136,7 +138,7 @@ def _effect_table(result: Outcome, views: Views) -> list[Section]:
         )
     if not rows:
         return []
-    head = ("effect", "parameters", "RMS force or reading", "support", "z of held-out data")
+    head = ("effect", "parameters", "RMS force or reading", "support", "significance")
     return [
         Section(
             "Effects",
@@ -145,8 +147,8 @@ def _effect_table(result: Outcome, views: Views) -> list[Section]:
                 Text(
                     "Support: share of data resamples in which the search chooses this effect or "
                     "one that the records cannot tell from it; it is not the probability that the "
-                    "name is right. z: agreement of the effect's prediction with data that did "
-                    "not fit it, in standard deviations of chance.",
+                    "name is right. Significance: agreement of the effect's prediction with data "
+                    "that did not fit it, in standard errors.",
                     "note",
                 ),
             ),
@@ -186,7 +188,7 @@ def _shaken(force: RandomForce) -> str:
     rms = with_interval(EffectParameter(value=s.rms, se=s.se, unit=force.unit))
     return (
         f"{force.name}: {rms} RMS (95 %). The missing force is the same in records with and "
-        f"without excitation (z = {s.statistic:.0f} on held-out data). It is no part of the model, "
+        f"without excitation ({s.statistic:.0f} standard errors on held-out data). It is no part of the model, "
         "and its error remains: look for a source of vibration or wind."
     )
 
@@ -226,9 +228,8 @@ def _numbers(result: Outcome) -> tuple[Number, ...]:
     return tuple(numbers)
 
 
-def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
-    model = shell_word(out_dir / "model.yaml")
-    steps = []
+def _steps(result: Outcome, out_dir: Path, logs: Sequence[Path]) -> Sequence[tuple[str, str]]:
+    model, steps = out_dir / "model.yaml", []
     for f in result.effects:
         if f.evidence is not None and f.evidence.alternatives:
             names = listed([e.name for e in f.others or f.evidence.alternatives])
@@ -257,14 +258,16 @@ def _steps(result: Outcome, out_dir: Path) -> Sequence[tuple[str, str]]:
             (
                 "Identify the plant with these effects in the model. Their force is subtracted "
                 "from the records first.",
-                f"levid identify LOG... --model {model} --out DIR",
+                command_line("identify", logs=logs, model=model, out=out_dir / "identification")
+                if logs
+                else "",
             )
         )
         steps.append(
             (
-                "Fly again on another day and trace with this model. The trace should find "
-                "nothing.",
-                f"levid trace LOG... --model {model} --out DIR",
+                f"Fly again on another day and trace with {model} as --model. The trace should "
+                "find nothing.",
+                "",
             )
         )
     if not steps and not result.noise_measured:

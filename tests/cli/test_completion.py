@@ -68,7 +68,8 @@ def values(folder: Path, *words: str) -> list[str]:
 
 def test_commands_and_options(folder: Path) -> None:
     assert values(folder, "ident") == ["identify"]
-    assert values(folder, "new", "") == ["signals"]
+    assert values(folder, "new", "s") == ["session", "signals", "sim"]
+    assert values(folder, "new", "rig", "c") == ["can", "canfd"]
     assert values(folder, "excite", "--vi") == ["--virtual"]
     assert values(folder, "completion", "") == list(SHELLS)
     assert values(folder, "identify", "--markov", "") == ["least_squares", "correlation"]
@@ -90,10 +91,19 @@ def test_commands_and_options(folder: Path) -> None:
 )
 def test_files_are_offered_by_kind(folder: Path, words: list[str], files: list[str]) -> None:
     """A YAML file without the key `levid` may be of any kind."""
-    found = values(folder, *words)
+    lines = answer(folder, ["levid", *words])
+    found = [line.partition(",")[2] for line in lines if line.startswith("path,")]
     assert [name for name in found if not name.endswith("/")] == files
     if words[-1] == "":
         assert [name for name in found if name.endswith("/")] == ["bin/", "sub/"]
+
+
+def test_shipped_names_are_offered_by_kind(folder: Path) -> None:
+    assert values(folder, "run", "can") == ["can", "canfd"]
+    assert values(folder, "excite", "be") == ["beam"]
+    assert values(folder, "excite", "beam", "--sim", "u") == ["undeclared"]
+    assert values(folder, "check", "lo") == ["loopback"]
+    assert values(folder, "identify", "be") == []
 
 
 def test_zsh_and_fish_get_summaries(folder: Path) -> None:

@@ -1,9 +1,8 @@
-"""Test the check of output folders and the quoting of printed shell commands."""
+"""Test the check of output folders."""
 
 from __future__ import annotations
 
 import os
-import shlex
 import subprocess
 import sys
 import time
@@ -13,10 +12,7 @@ import pytest
 
 from levid.cli.output_folder_check import (
     claimed_folder,
-    logs_in,
     older_results,
-    quoted,
-    same_logs,
     writable_folder,
 )
 from levid.config.base import ConfigError
@@ -34,27 +30,6 @@ def test_folder_that_cannot_be_written_is_rejected_before_the_work(
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
     with pytest.raises(ConfigError, match="may not be written to"):
         writable_folder(tmp_path / "new")
-
-
-def test_printed_commands_quote_any_path() -> None:
-    odd = Path("my runs") / "it's"
-    assert shlex.split(quoted(odd, Path("x"))) == [str(odd), "x"]
-    assert shlex.split(logs_in(odd)) == [f"{odd}/*.mcap"]
-    assert logs_in(odd).endswith("/*.mcap")  # outside the quotes, so that the shell expands it
-    few = [odd / "a.mcap", odd / "b.mcap"]
-    assert shlex.split(same_logs(few)) == list(map(str, few))
-
-
-def test_many_logs_become_a_pattern_only_if_they_are_all_logs_of_the_folder(tmp_path: Path) -> None:
-    paths = []
-    for day in ("monday", "tuesday"):
-        (tmp_path / day).mkdir()
-        paths += [tmp_path / day / f"{k}.mcap" for k in range(3)]
-    for path in paths:
-        path.write_bytes(b"")
-    monday, tuesday = (logs_in(tmp_path / day) for day in ("monday", "tuesday"))
-    assert same_logs(paths) == f"{monday} {tuesday}"
-    assert same_logs(paths[:5]) == f"{monday} {quoted(*paths[3:5])}"
 
 
 def test_paths_that_block_results_are_rejected_before_the_work(tmp_path: Path) -> None:

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
+import sysconfig
+import venv
 import zipfile
+from pathlib import Path
 
 import pytest
 from repository_folders import ROOT
 
+SHIPPED = {
+    folder.name: sorted(path.stem for path in folder.glob("*.yaml"))
+    for folder in (ROOT / "config").iterdir()
+    if any(folder.glob("*.yaml"))
+}
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("[a-z]*/__init__.py"))
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    """Return the file names of a wheel; it is built from a copy, to keep the checkout clean."""
+def wheel_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a wheel; it is built from a copy, to keep the checkout clean."""
     pytest.importorskip("setuptools", minversion="77", reason="`make test` installs it")
     copy = tmp_path_factory.mktemp("source")
     for name in ("pyproject.toml", "README.md", "LICENSE", "__init__.py", "py.typed"):
@@ -29,8 +38,78 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
     )
     assert done.returncode == 0, done.stderr
     (path,) = (copy / "dist").glob("levid-*.whl")
-    with zipfile.ZipFile(path) as archive:
+    return path
+
+
+@pytest.fixture(scope="module")
+def wheel(wheel_file: Path) -> set[str]:
+    """Return the file names in the wheel."""
+    with zipfile.ZipFile(wheel_file) as archive:
         return set(archive.namelist())
+
+
+@pytest.fixture(scope="module")
+def installed(wheel_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the `levid` of an environment with the wheel, and with the packages of this one."""
+    folder = tmp_path_factory.mktemp("environment")
+    venv.create(folder, with_pip=False)
+    site = next(folder.glob("lib/python*/site-packages"))
+    # Paths in a .pth file are not searched for .pth files: a levid that is installed there to be
+    # edited stays unseen.
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    python = folder / "bin" / "python"
+    command = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-deps"]
+    done = subprocess.run(
+        [*command, "--no-index", "--disable-pip-version-check", str(wheel_file)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder / "bin" / "levid"
+
+
+SESSION = """
+levid: session
+name: short
+steps:
+  - levitate: {settle_s: 1.0}
+  - record: {name: rest, duration_s: 1, settle_s: 0}
+  - land: {}
+"""
+
+
+def test_installed_levid_knows_shipped_files_by_name(installed: Path, tmp_path: Path) -> None:
+    """As after `pip install levid`: outside the repository, without a file of one's own."""
+    folder = tmp_path / "my work"
+    folder.mkdir()
+    (folder / "short.yaml").write_text(SESSION)
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [installed, *words],
+            cwd=folder, env=environment, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+
+    names = [name for names in SHIPPED.values() for name in names]
+    for words in (
+        ("check", *(name for name in names if names.count(name) == 1)),
+        ("check", *(f"{kind}/{name}" for kind, names in SHIPPED.items() for name in names)),
+        ("new", "rig", "loopback", "-o", "my rig.yaml"),
+        ("check", "my rig.yaml"),
+        ("layout", "loopback", "--out", "layouts"),
+        ("install-service", "can", "--dry-run"),
+        *[
+            ("excite", "short.yaml", "--virtual", "--out", out, *more)
+            for out, *more in (
+                ("a", "--rig", "loopback"), ("b", "--rig", "my rig.yaml", "--sim", "undeclared")
+            )
+        ],
+    ):  # fmt: skip
+        done = run(*words)
+        assert done.returncode == 0, f"{words}: {done.stderr}"
+        assert str(ROOT) not in done.stdout + done.stderr
+    refused = run("excite", "config/sessions/beam.yaml", "--virtual", "--out", "c")
+    assert "levid ships a session with the name beam" in refused.stderr
 
 
 def test_wheel_contains_every_file_of_every_package(wheel: set[str]) -> None:

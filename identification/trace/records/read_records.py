@@ -105,7 +105,8 @@ def require_live(record: TraceRecord, path: Path) -> None:
     frozen = np.flatnonzero(constant)
     if len(frozen):
         places = record.places
-        names = places.dof if places.sensors == len(places.dof) else None
+        outputs = not places.beam and places.sensors == len(places.dof)
+        names = places.dof if outputs else None
         which = [names[i] if names else f"sensor:{i}" for i in frozen.tolist()]
         raise NotARecordError(
             f"{path.name}: left out: {', '.join(which)} is frozen at "

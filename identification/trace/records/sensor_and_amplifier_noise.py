@@ -86,8 +86,8 @@ def require_noise(records: Sequence[TraceRecord]) -> None:
 def _require_one_scale(records: Sequence[TraceRecord]) -> None:
     """Raise IdentificationError for imported outputs of different units or noise."""
     places = records[0].places
-    if places.sensors > len(places.dof):
-        return  # sensors of one kind
+    if places.beam or places.sensors > len(places.dof):
+        return  # sensors of one kind: the rig's read gaps, however many there are
     noise = sensor_noise(records)
     if len(set(places.dof_units)) > 1 or noise.max() > _ALIKE * noise.min():
         found = ", ".join(

@@ -80,7 +80,7 @@ class PanelView {
       hooks: {
         drawClear: [() => this.marks("rectangle")],
         drawAxes: [() => this.marks("segments")],
-        draw: [() => { this.markers(); this.marks("note"); }],
+        draw: [() => { this.curves = null; this.markers(); this.marks("note"); }],
         setSelect: [(u) => this.select(u)],
         setCursor: [(u) => { if (!this.quiet) this.group.cursor(u.cursor.left < 0 ? null : u.posToVal(u.cursor.left, "x"), this); }],
       },
@@ -243,8 +243,8 @@ class PanelView {
     const precision = (this.group.max - this.group.min) / Math.max(this.u.over.clientWidth, 1);
     const where = lines.find((l) => l.x !== undefined)?.x ?? x;
     const decimals = panel.x.log ? null : Math.max(0, Math.min(6, Math.ceil(-Math.log10(precision))));
-    const place = decimals === null ? String(Number(where.toPrecision(4))) : where.toFixed(decimals);
-    element("div", "at", this.box, `${minus(place)} ${panel.x.unit}`);
+    const at = decimals === null ? String(Number(where.toPrecision(4))) : where.toFixed(decimals);
+    element("div", "at", this.box, `${minus(at)} ${panel.x.unit}`);
     for (const { entry, look, label, text } of lines) {
       const line = element("div", "", this.box);
       line.append(swatch(look, entry?.area));
@@ -254,8 +254,12 @@ class PanelView {
     }
     this.box.hidden = lines.length === 0;
     const left = this.u.valToPos(x, "x"), whole = this.u.over.clientWidth, wide = this.box.offsetWidth;
-    const beside = left > whole / 2 ? left - 10 - wide : left + 10;
-    this.box.style.left = `${Math.max(0, Math.min(beside, whole - wide))}px`;
+    const place = freePlace(this, left, wide, this.box.offsetHeight);
+    // Without a free place the panel with the cursor shows its values beneath; others show none.
+    this.box.hidden ||= !place && !own;
+    const { x: beside, y: top } = place ?? { x: Math.max(0, Math.min(left + 10, whole - wide)), y: this.u.over.clientHeight + 4 };
+    this.box.style.left = `${beside}px`;
+    this.box.style.top = `${top}px`;
   }
 
   readings(x) {
@@ -282,8 +286,11 @@ class PanelView {
       if (s.kind === "band") { bands.set(s.entry, `${number(low, step)} … ${number(high, step)}`); continue; }
       out.push({ id: s.entry, entry, look: s.look, label: s.label || panel.title, text, unit, x: binned ? undefined : level.x[i] });
     }
+    // The band of an entry is that of its strongest line: paler ones are another model's.
+    const strength = (line) => line.look.alpha;
     for (const line of out) {
-      const band = line.id === null ? undefined : bands.get(line.id);
+      const strongest = !out.some((other) => other.id === line.id && strength(other) > strength(line));
+      const band = line.id === null || !strongest ? undefined : bands.get(line.id);
       line.text += (band ? ` (${band})` : "") + line.unit;
     }
     for (const m of panel.marks)

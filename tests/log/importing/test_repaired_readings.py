@@ -122,7 +122,9 @@ def test_code_for_no_reading_is_left_out_and_shown(code, rows, role):
 
 
 @pytest.mark.parametrize("y", [SMOOTH, 1e-6 * SMOOTH, 100 + SMOOTH, np.rint(50 * SMOOTH)])
-@pytest.mark.parametrize("rows", [[700], [700, 701], [3, 1000, 2500], [700, 703, 706], [0], [N - 1]])
+@pytest.mark.parametrize(
+    "rows", [[700], [700, 701], [3, 1000, 2500], [700, 703, 706], [0], [N - 1]]
+)
 @pytest.mark.parametrize("sign", [1, -1])
 def test_spike_is_left_out_and_shown(y, rows, sign):
     bad = y.copy()

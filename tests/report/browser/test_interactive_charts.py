@@ -274,6 +274,85 @@ def test_page_is_as_wide_as_the_window(tab, report, width):
     assert tab.value("document.documentElement.scrollWidth") == width
 
 
+@pytest.mark.parametrize("width", [390, 1400])
+def test_tables_show_every_column_without_scrolling(tab, report, width):
+    tab.resize(width)
+    tab.open(report.as_uri())
+    hidden = (
+        "[...document.querySelectorAll('.table .wide')].filter("
+        "e => e.scrollWidth > e.clientWidth).length"
+    )
+    assert tab.value(hidden) == 0
+    head = "getComputedStyle(document.querySelectorAll('td')[0], '::before').content"
+    assert ("a long heading" in tab.value(head)) == (width == 390)
+
+
+def box_and_plot(page: Page, figure: str, panel: int) -> tuple[list[float], list[float], int]:
+    """Return the place of a panel's visible readout and of its plot, and curve pixels beneath it.
+
+    Curves are saturated; axes, grid and bands are not. No box: an empty list.
+    """
+    box, over, pixels = page.value(
+        f"""(() => {{
+        const root = document.querySelectorAll('#figure-{figure} .plot')[{panel}];
+        const place = e => {{ const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; }};
+        const box = root.querySelector('.readout'), over = root.querySelector('.u-over');
+        if (box.hidden) return [[], place(over), 0];
+        const canvas = root.querySelector('canvas'), c = place(canvas), b = place(box), o = place(over);
+        const k = canvas.width / (c[2] - c[0]);
+        const x0 = Math.max(b[0], o[0]), y0 = Math.max(b[1], o[1]);
+        const w = Math.min(b[2], o[2]) - x0, h = Math.min(b[3], o[3]) - y0;
+        if (w < 1 || h < 1) return [b, o, 0];
+        const d = canvas.getContext('2d').getImageData((x0 - c[0]) * k, (y0 - c[1]) * k, w * k, h * k).data;
+        let found = 0;
+        for (let i = 0; i < d.length; i += 4)
+          found += Math.max(d[i], d[i + 1], d[i + 2]) - Math.min(d[i], d[i + 1], d[i + 2]) > 90;
+        return [b, o, found]; }})()"""
+    )  # fmt: skip
+    return box, over, int(pixels)
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize(("figure", "panels"), [("bode", 9), ("time", 2)])
+def test_values_at_the_cursor_cover_no_curve(tab, report, width, figure, panels):
+    tab.resize(width)
+    tab.open(report.as_uri())
+    tab.value(f"document.querySelector('#figure-{figure}').scrollIntoView()")
+    tab.wait_for(f"document.querySelectorAll('#figure-{figure} .u-over').length === {panels}")
+    settle(tab)
+    for share in (0.05, 0.3, 0.5, 0.62, 0.95):
+        point_at(tab, share, figure)
+        boxes = [box_and_plot(tab, figure, panel) for panel in range(panels)]
+        assert boxes[0][0], "the panel with the cursor shows its values"
+        assert [pixels for _, _, pixels in boxes] == [0] * panels
+
+
+def test_a_band_is_read_with_the_line_that_it_belongs_to(tab, tmp_path):
+    """Two models have one legend entry: the pale one has no band of its own."""
+    response = 1e-2 / (1 - (FREQ_HZ / 8.0) ** 2 + 0.1j * FREQ_HZ / 8.0)
+    whole = response[:, None, None] * np.eye(3)
+    pale = LineStyle(BLUE.colour, width=3.0, alpha=0.3)
+    figure = bode_magnitude(
+        [
+            Curve("left", pale, FREQ_HZ, 2.0 * whole),
+            Curve("left", BLUE, FREQ_HZ, whole, 0.05 * np.abs(whole)),
+        ],
+        RIG_SIGNALS,
+    )
+    picture = Picture("bode", to_svg(figure), "a Bode diagram", "A Bode diagram.")
+    tab.open(write_report(tmp_path, "Title", (Section("Figures", (picture,)),)).as_uri())
+    tab.wait_for("document.querySelectorAll('#figure-bode .u-over').length === 9")
+    point_at(tab, 0.2, "bode")
+    texts = tab.value(
+        "[...document.querySelectorAll('#figure-bode .readout')[0].querySelectorAll('.value')]"
+        ".map(v => v.textContent)"
+    )
+    assert sorted("…" in text for text in texts) == [False, True]
+    plain = next(number(text) for text in texts if "…" not in text)
+    banded = next(number(text) for text in texts if "…" in text)
+    assert plain == pytest.approx(2.0 * banded, rel=1e-2)  # printed digits
+
+
 def test_dark_pages_have_dark_charts(tab, report):
     tab.medium(dark=True)
     tab.open(report.as_uri())

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
+
+from .escaping import shell_word
 
 _MOST_NAMED = 3
 """Logs that a printed command names one by one."""
@@ -26,7 +27,7 @@ def command_line(
             continue
         words.append(f"--{name.replace('_', '-')}")
         if value is not True:
-            words.append(_word(value) if isinstance(value, Path) else shlex.quote(str(value)))
+            words.append(_word(value) if isinstance(value, Path) else shell_word(str(value)))
     return " ".join(words)
 
 
@@ -61,5 +62,4 @@ def unused(folder: Path) -> Path:
 
 
 def _word(path: Path | str) -> str:
-    text = str(path)
-    return shlex.quote(f"./{text}" if text.startswith("-") else text)
+    return shell_word(PurePath(path))

@@ -131,7 +131,8 @@ class CheckedCache(_Cache):
             self._stamp = source_stamp(self._py_func)
         code = self._py_func.__code__
         name = f"{self._py_func.__module__}.{self._py_func.__qualname__}"
-        where = repr((name, code.co_filename, signature, codegen.magic_tuple()))
+        closure = _closure(self._py_func)
+        where = repr((name, code.co_filename, closure, signature, codegen.magic_tuple()))
         file = f"{name.rpartition('.')[2]}-{hashlib.sha256(where.encode()).hexdigest()[:24]}"
         return folder / f"{file}{_SUFFIX}", repr((where, self._stamp, _VERSIONS)).encode()
 
@@ -174,6 +175,18 @@ def _value_parts(name: str, value: Any, seen: set[Any]) -> Iterator[bytes]:
         yield f"{name}={value!r}".encode()
     elif isinstance(value, enum.EnumMeta):
         yield f"{name}={list(value)!r}".encode()
+
+
+def _closure(py_func: Any) -> list[str]:
+    """Return digests of the values that a function takes from the one that defines it.
+
+    Functions that one definition makes for several values each have files of their own.
+    """
+    cells = [cell.cell_contents for cell in py_func.__closure__ or ()]
+    return [
+        hashlib.sha256(b"" if isinstance(value, Dispatcher) else _dumps(value)).hexdigest()
+        for value in cells
+    ]
 
 
 def _names(code: Any) -> set[str]:

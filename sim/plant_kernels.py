@@ -1,7 +1,6 @@
 """Compiled integration of both plant levels: N internal Runge-Kutta steps of one control period.
 
-All compiled code and the layout of the arrays are in this one file: numba's file cache depends on
-the file that defines a kernel, and would not notice a change of a helper in another file.
+All compiled code and the layout of the arrays are in this one file.
 
 Equations of motion, level `declared`. With small angles the beam, a point at (x_b, 0, z_b) of the
 platform, is at height z + x_b th + z_b (1 - th^2/2 - psi^2/2) and at x = x_b (1 - th^2/2) - z_b th

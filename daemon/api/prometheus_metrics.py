@@ -19,6 +19,7 @@ _ADDRESS = "127.0.0.1"
 _SHUTDOWN_S = 1.0
 _REQUEST_S = 2.0
 """Time limit of a request with its answer: a slow client delays the next one by this at most."""
+_DEFER_S = 30
 _QUANTILES = {"p50": "0.5", "p99": "0.99", "p99.9": "0.999", "max": "1"}
 _COUNTERS = {
     "cycle": ("levid_cycles", "periods since the start"),
@@ -65,6 +66,13 @@ def serve_metrics(port: int, status: Callable[[], Mapping[str, Any]]) -> Callabl
 
 
 class _Server(WSGIServer):
+    request_queue_size = 64
+
+    def server_activate(self) -> None:
+        """Listen; the kernel holds back connections that send nothing, so that none delays us."""
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, _DEFER_S)
+        super().server_activate()
+
     def handle_error(self, *_: object) -> None:
         """Log nothing: a client that disconnects is no problem."""
 

@@ -139,10 +139,18 @@ class Requests:
             raise RefusedError(
                 f"watch: every_s: expected {_MIN_WATCH_S} s or more, found {every_s!r}"
             )
-        if len(self.watchers) >= _MAX_WATCHERS:
-            raise RefusedError(f"watch: {_MAX_WATCHERS} clients are watching, which is the limit")
         watcher = Watcher(reply, float(every_s))
-        self._supervisor.post(lambda: self.watchers.append(watcher))
+        self._supervisor.post(lambda: self._add_watcher(watcher))
+
+    def _add_watcher(self, watcher: Watcher) -> None:
+        """Add a watcher; at the limit the oldest of the lowest role gives way, or the new one."""
+        self.watchers.append(watcher)
+        if len(self.watchers) > _MAX_WATCHERS:
+            leaves = min(self.watchers, key=lambda w: w.reply.role)
+            self.watchers.remove(leaves)
+            leaves.reply.refuse(
+                f"watch: at most {_MAX_WATCHERS} clients may watch; this one gave way to another"
+            )
 
     def _plan(self, request: Request, reply: Reply) -> None:
         self._begin_turn(json.dumps(request).encode(), reply)
@@ -300,11 +308,11 @@ class Watcher:
     """Send the status to a client periodically until it disconnects."""
 
     def __init__(self, reply: Reply, every_s: float) -> None:
-        self._reply, self._interval_s, self._sent_s = reply, every_s, 0.0
+        self.reply, self._interval_s, self._sent_s = reply, every_s, 0.0
 
     def tick(self, now_s: float, status: Callable[[], Mapping[str, Any]]) -> bool:
         """Send the status if the interval has passed; return whether the client is connected."""
         if now_s - self._sent_s >= self._interval_s:
             self._sent_s = now_s
-            self._reply.send(status())
-        return self._reply.waiting
+            self.reply.send(status())
+        return self.reply.waiting

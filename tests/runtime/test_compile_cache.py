@@ -93,6 +93,21 @@ def test_file_of_another_function_or_signature_is_not_loaded(folder: Path) -> No
     assert hits(function) == 0
 
 
+def test_functions_made_for_several_values_have_files_of_their_own(folder: Path) -> None:
+    def made_for(size: int) -> Callable[[float], float]:
+        @njit(cache=True)
+        def added(x: float) -> float:
+            return x + size
+
+        return added
+
+    assert (made_for(1)(1.0), made_for(2)(1.0)) == (2.0, 3.0)
+    assert len(list(folder.iterdir())) == 2
+    again = [made_for(1), made_for(2)]
+    assert [function(1.0) for function in again] == [2.0, 3.0]
+    assert [hits(function) for function in again] == [1, 1]
+
+
 @pytest.mark.parametrize("mode", [0o620, 0o602, 0o666, 0o660])
 def test_file_that_others_may_change_is_not_loaded(folder: Path, mode: int) -> None:
     compiled()(2.0)

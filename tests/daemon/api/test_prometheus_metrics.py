@@ -85,3 +85,17 @@ def test_whoever_drips_a_request_holds_the_next_one_up_for_a_while_only(
     finally:
         close()
     assert capfd.readouterr().err == ""
+
+
+def test_connections_that_send_nothing_hold_nobody_up() -> None:
+    port = free_port()
+    close = serve_metrics(port, lambda: {})
+    try:
+        with contextlib.ExitStack() as held:
+            for _ in range(60):  # a second each, if the server waited for each
+                held.enter_context(socket.create_connection(("127.0.0.1", port)))
+            with socket.create_connection(("127.0.0.1", port), timeout=30.0) as client:
+                client.sendall(b"GET /nothing HTTP/1.0\r\n\r\n")
+                assert client.recv(4) == b"HTTP"
+    finally:
+        close()

@@ -2,7 +2,7 @@
 # locked packages to .venv, and again if pyproject.toml or a lock file changes.
 
 PYTHON ?= python3
-PACKAGES := cli api report daemon identification drivers sim log wire model config runtime
+PACKAGES := cli api report daemon identification drivers sim log wire model config
 
 # Containers often forbid Python to keep bytecode; tests start Python some thousand times, and each would compile
 # numpy and scipy anew.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .runtime import import_guard
+from .config.runtime import import_guard
 
 if TYPE_CHECKING:
     from .api.flight import fly as fly

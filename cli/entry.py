@@ -17,7 +17,7 @@ def main() -> None:
     """Run the command line."""
     if sys.argv[1:] == ["stop"]:
         sys.exit(stop_at_once())
-    from ..runtime.environment import prepare_command
+    from ..config.runtime.environment import prepare_command
 
     prepare_command()
     from .main import main as all_commands

@@ -10,8 +10,8 @@ import sys
 import click
 
 from ..config.escaping import visible_output
+from ..config.runtime.environment import prepare_command
 from ..config.version import __version__
-from ..runtime.environment import prepare_command
 from . import interrupts
 from .command_group import LazyGroup
 

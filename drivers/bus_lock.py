@@ -17,8 +17,8 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-from ..runtime.private_files import make_private_folder, user_name
-from ..runtime.user_folders import account_home, temporary_folder
+from ..config.runtime.private_files import make_private_folder, user_name
+from ..config.runtime.user_folders import account_home, temporary_folder
 from .base import LinkError
 
 SERVICE_STATE = Path("/var/lib/levid")

@@ -20,7 +20,7 @@ from ...config.files.atomic_write import empty_file, write_file
 from ...config.files.folders import make_folder
 from ...config.files.reading import read_json
 from ...config.rig import RigConfig
-from ...runtime.user_folders import temporary_folder, xdg_folder
+from ...config.runtime.user_folders import temporary_folder, xdg_folder
 
 INTERVAL_S = 5.0
 _COLD = 0.01

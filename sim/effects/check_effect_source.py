@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from ...config.runtime.private_files import ForeignFileError, read_code
 from ...config.sim import SimEffect
-from ...runtime.private_files import ForeignFileError, read_code
 from .effect_interface import HOOKS, EffectError
 from .loader import Effects, effect_file, effect_place
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from ...config.runtime.private_files import ForeignFileError, read_code
 from ...config.sim import SimEffect, SimGeometry
-from ...runtime.private_files import ForeignFileError, read_code
 from ..plant_kernels import Array
 from .effect_interface import HOOKS, BeamState, EffectError, EffectGeometry, EffectPlant
 

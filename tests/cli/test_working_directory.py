@@ -22,8 +22,8 @@ from live_view import RIG_FILE
 from mass_on_spring_logs import MASS, imported
 
 from levid.config.rig import load_rig
+from levid.config.runtime.compile_cache import cache_folder
 from levid.config.shipped import shipped
-from levid.runtime.compile_cache import cache_folder
 
 AUDIT = """
 import os, sys

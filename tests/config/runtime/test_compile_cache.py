@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from numba import njit
 
-from levid.runtime import compile_cache
-from levid.runtime.compile_cache import CheckedCache, cache_folder, source_stamp
+from levid.config.runtime import compile_cache
+from levid.config.runtime.compile_cache import CheckedCache, cache_folder, source_stamp
 
 GAIN = 3
 
@@ -153,7 +153,7 @@ def test_folder_that_the_group_could_write_is_closed(folder: Path) -> None:
 
 
 def test_cache_is_private_whatever_the_umask(tmp_path: Path) -> None:
-    code = "import os, sys; os.umask(0); from levid.runtime.compile_cache import *; "
+    code = "import os, sys; os.umask(0); from levid.config.runtime.compile_cache import *; "
     code += "from numba import njit; njit(cache=True)(lambda x: x)(1.0); print(cache_folder())"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True,

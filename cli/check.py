@@ -86,8 +86,9 @@ def command(
             if not as_json:
                 click.echo(f"{path}: {found}")
         except (ConfigError, LogError, OSError) as error:
-            named = isinstance(error, OSError)
-            found, usable = f"{path}: {error.strerror or error}" if named else str(error), False
+            found, usable = str(error), False
+            if isinstance(error, OSError):
+                found = f"{path}: {error.strerror or error}"
             if not as_json:
                 click.echo(found, err=True)
         results.append({"file": str(path), "usable": usable, "found": found})

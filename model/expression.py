@@ -137,10 +137,10 @@ def _check(node: ast.expr, names: set[str], text: str, depth: int) -> None:
         case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in _FUNCTIONS:
             _check(argument, names, text, depth + 1)
         case _:
-            part = ast.get_source_segment(text, node) or text
+            segment = ast.get_source_segment(text, node) or text
             raise ExpressionError(
                 f"expected numbers, names, + - * / ** and {', '.join(_FUNCTIONS)}, "
-                f"found '{_short(part)}' in '{_short(text)}'"
+                f"found '{_short(segment)}' in '{_short(text)}'"
             )
 
 
@@ -183,8 +183,8 @@ def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
         case ast.BinOp():
             first, terms = _terms(node)
             result = _value(first, values)
-            for op, right in terms:
-                result = _BINARY[type(op)](result, _value(right, values))
+            for operation, right in terms:
+                result = _BINARY[type(operation)](result, _value(right, values))
             return result
         case ast.Call(func=ast.Name(id=name), args=[argument]):
             return _FUNCTIONS[name](_value(argument, values))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 import levid
 
@@ -24,7 +25,7 @@ def _arrays(value: object, name: str, seen: set[int], depth: int = 0) -> Iterato
     elif isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
         for number, inner in enumerate(value):
             yield from _arrays(inner, f"{name}[{number}]", seen, depth + 1)
-    if type(value).__module__.startswith("levid."):
+    if type(value).__module__.startswith("levid.") and not isinstance(value, BaseModel):
         for attribute in (a for a in dir(value) if not a.startswith("_")):
             inner = getattr(value, attribute, None)
             if not callable(inner):

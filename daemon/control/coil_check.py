@@ -54,11 +54,10 @@ class Pushes:
     def of(cls, check: CoilCheck, coils: int, rate_hz: float) -> Pushes:
         """Convert the times of `check` to whole cycles at `rate_hz`, at least one.
 
-        A push is not rounded up to more than `LONGER` times its length.
+        Rounding makes a push of two cycles or more longer by a third at most. The neglected effects
+        then cause a deviation of 0.07 instead of 0.04.
         """
-        longest = int(LONGER * check.push_s * rate_hz)
-        push = max(min(round(check.push_s * rate_hz), longest), 1)
-        pause = max(round(check.pause_s * rate_hz), 1)
+        push, pause = (max(round(s * rate_hz), 1) for s in (check.push_s, check.pause_s))
         return cls(push, pause, check.push_n, coils)
 
     @property

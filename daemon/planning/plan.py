@@ -301,7 +301,7 @@ class _Planner:
 
         All rows of the check must still be in the ring when it is evaluated.
         """
-        if pushes.push > LONGER * check.push_s * self.rate_hz:
+        if LONGER * check.push_s * self.rate_hz < 1.0:
             raise ConfigError(
                 f"{where}.push_s: expected a push of at least one period, "
                 f"{1 / self.rate_hz:.3g} s, found {check.push_s:g} s"

@@ -98,3 +98,10 @@ def test_one_long_stall_exceeds_its_limit() -> None:
     assert not late.exceeded(500)
     assert late.exceeded(501)
     assert "stalled for 0.501 s" in late.reason
+
+
+def test_readback_too_noisy_to_judge_coils_by_is_named() -> None:
+    rows = at_rest()
+    # Three times five standard deviations in a row do not occur; at a limit of two they would.
+    rows["coil_readback_n"][:, 3] = np.random.default_rng(2).normal(0, 0.25, len(rows))
+    assert self_test(rows, RIG).startswith("coil 3 reads back noise of 2.")

@@ -254,7 +254,8 @@ def _stands_still(  # type: ignore[no-untyped-def]
     beyond = moved - tolerance - _GAIN_ERROR * by_others * largest
     if not beyond > 0.0:  # nan or infinite: a step is unknown
         return False
-    return repeats * own[_NATS] + beyond * beyond / (2.0 * variance) > head[_EVIDENCE]
+    evidence = repeats * own[_NATS] + beyond * beyond / (2.0 * variance)
+    return bool(evidence > head[_EVIDENCE])
 
 
 @njit(cache=True)

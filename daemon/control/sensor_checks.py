@@ -136,7 +136,10 @@ class SensorChecks:
         if found == _OFF:
             # The average follows with a delay: the newest readings tell how far.
             residual = self._projector @ sensors[:, _LAST]
-            return plane_text(sensors[:, _MEAN], residual, self._projector, self._head[_PLANE])
+            text = plane_text(sensors[:, _MEAN], residual, self._projector, self._head[_PLANE])
+            repeats = sensors[where, _REPEATS]
+            stood = repeats >= sensors[where, _LEAST]
+            return f"{text}; it repeats its reading for {repeats:.0f} cycles" if stood else text
         if found == _JUMPED:
             return f"sensor {where} jumped by {1e3 * amount:.3f} mm, the others did not"
         return ""

@@ -3,8 +3,9 @@
 The backend runs in the loop. At the start of a cycle it takes one line from a socket in the rig's
 folder: `push 50` (N), `tilt 0.6` (N m), `shift 0.2` (offset of the beam's encoders, m), `race 2.0`
 (their drift, m/s), `nan-coil 3`, `nan-axis x1`, `coil-force 3=7.6`, `coil-gain 3=0.5`, `coil-offset
-3=2`, `jam x1`, `slow phi` (as in `levid electronics`), or a fault that the backend itself reports,
-such as `trip 3`: see REPORTED. The simulated amplifiers end with the loop, and stand still with it.
+3=2`, `jam x1`, `slow phi` (as in `levid electronics`), a line of sensor_errors, or a fault that the
+backend itself reports, such as `trip 3`: see REPORTED. The simulated amplifiers end with the loop,
+and stand still with it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from levid.benchmarks.daemon.fault_injecting_electronics import ENDS
+from levid.benchmarks.daemon.sensor_errors import NAMES, SensorErrors
 from levid.drivers.base import (
     AmplifierError,
     Context,
@@ -63,6 +65,7 @@ class FaultInjectingLoopback(LoopbackBackend):
         self._plant.advance = advanced  # type: ignore[method-assign]
         self._faults: dict[str, str] = {}
         self._raced_m = 0.0
+        self._sensor_errors = SensorErrors(len(self._plant.gap_m), context.period_s)
         self._forced_periods = 0
         self._ends_s = deque[float](maxlen=ENDS)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -110,12 +113,15 @@ class FaultInjectingLoopback(LoopbackBackend):
         if name == "clear":
             self._faults.clear()
             self._actuators.clear()
+            self._sensor_errors.clear()
             self._raced_m = 0.0
         elif name.startswith("coil-"):
             coil, _, number = argument.partition("=")
             self._actuators.set_force(name, int(coil), float(number))
         elif name in ("jam", "slow"):
             self._actuators.delay_drive(name, argument)
+        elif name in NAMES:
+            self._sensor_errors.command(line)
         elif name != "status":
             self._faults[name] = argument
         push, tilt = (float(self._faults.get(name, 0.0)) for name in ("push", "tilt"))
@@ -125,6 +131,7 @@ class FaultInjectingLoopback(LoopbackBackend):
 
     def _spoil(self) -> None:
         faults, plant = self._faults, self._plant
+        self._sensor_errors.spoil(plant.gap_m)
         race_m_s = float(faults.get("race", 0.0))
         self._raced_m += race_m_s * self._period_s
         plant.beam[0] += float(faults.get("shift", 0.0)) + self._raced_m

@@ -218,7 +218,7 @@ def _size(name: str, least: float, most: float) -> Line:
 
 
 _FROZEN_SHOWS = 40
-"""Equal readings after which a frozen channel is a fault: 26 to 34, of 60 readings' noise."""
+"""Equal readings after which a frozen channel is a fault: 26 to 36, of 80 readings' noise."""
 _PUSH_SHOWS = 1
 """40 N move 7 kg on the rods beyond 0.85 mm in 17 ms; a cycle is 20 ms."""
 _TILT_SHOWS = 3

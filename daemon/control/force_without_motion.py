@@ -64,7 +64,7 @@ class RigidBody:
         law = feed_forward(rig, period_s)
         if isinstance(rig.model, ModelConfig):
             at = declared_model(rig.model).at()
-            inertia = np.linalg.solve(at.B, at.M)
+            inertia = np.asarray(np.linalg.solve(at.B, at.M), np.float64)
             return cls(inertia, law.by_model[:, 1:4], float(abs(law.by_model[2, 0])))
         own = rig.feedforward
         assert own is not None

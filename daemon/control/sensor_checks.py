@@ -136,7 +136,10 @@ class SensorChecks:
         if found == _OFF:
             # The average follows with a delay: the newest readings tell how far.
             residual = self._projector @ sensors[:, _LAST]
-            return plane_text(sensors[:, _MEAN], residual, self._projector, self._head[_PLANE])
+            text = plane_text(sensors[:, _MEAN], residual, self._projector, self._head[_PLANE])
+            repeats = sensors[where, _REPEATS]
+            stood = repeats >= sensors[where, _LEAST]
+            return f"{text}; it repeats its reading for {repeats:.0f} cycles" if stood else text
         if found == _JUMPED:
             return f"sensor {where} jumped by {1e3 * amount:.3f} mm, the others did not"
         return ""
@@ -254,7 +257,8 @@ def _stands_still(  # type: ignore[no-untyped-def]
     beyond = moved - tolerance - _GAIN_ERROR * by_others * largest
     if not beyond > 0.0:  # nan or infinite: a step is unknown
         return False
-    return repeats * own[_NATS] + beyond * beyond / (2.0 * variance) > head[_EVIDENCE]
+    evidence = repeats * own[_NATS] + beyond * beyond / (2.0 * variance)
+    return bool(evidence > head[_EVIDENCE])
 
 
 @njit(cache=True)

@@ -33,7 +33,7 @@ _YEAR_S = 365.25 * 86_400.0
 LEAST_REPEATS = 3
 """Repeats before the other sensors' motion counts: a wrong reading of another sensor lasts a cycle
 or two."""
-LEAST_ROWS = 60
+LEAST_ROWS = 40
 """Fewest readings from which the noise is estimated."""
 MOST_ROWS = 500
 """Newest readings that are used."""

@@ -77,7 +77,8 @@ class StateMachine:
         )
         self._words, self._recover, self._parent = shared.control_words.words, recover, parent
         self._landing = Landing(controller, rig.limits, 1.0 / rig.rate_hz)
-        self._test_cycles = max(round(rig.self_test.duration_s * rig.rate_hz), LEAST_ROWS + 1)
+        # Half of the readings may be missing.
+        self._test_cycles = max(round(rig.self_test.duration_s * rig.rate_hz), 2 * LEAST_ROWS)
         self._silence_limit = max(round(rig.service.supervisor_s * rig.rate_hz), 2)
 
         words = self._words

@@ -128,6 +128,9 @@ def test_session_is_flown_and_lands(rig: Rig, tmp_path: Path) -> None:
         ("coil-offset 2=1.5", Fault.AMPLIFIER, "coil 2: commanded .* reads back "),
         ("encoder phi", Fault.DRIVE, "0x7305"),
         ("push 60", Fault.GAP, "mm at sensor"),
+        ("frozen all", Fault.SENSOR, "all 9 sensors repeat their readings"),
+        ("frozen 6", Fault.SENSOR, r"sensor 6 .*repeats its reading"),
+        ("off 4 0.0005", Fault.SENSOR, r"sensor 4 (is|jumped)"),
     ],
 )
 def test_fault_in_flight_is_in_the_log_and_is_cleared(

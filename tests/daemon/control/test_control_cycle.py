@@ -205,8 +205,7 @@ def test_speed_is_judged_by_the_time_that_passed(skipped: int, read_s: float, fa
     level = np.zeros((1, 9))
     bench.run(flying(1), level)
     bench.cycle += skipped
-    moved = level.copy()
-    moved[0, 7] = 0.2e-3  # 0.2 m/s over one period, 0.1 m/s over two
+    moved = level + 0.2e-3  # 0.2 m/s over one period, 0.1 m/s over two
     rows = bench.run(flying(1, engages=False), moved, read_s)
     assert rows["fault"][0] == fault
 

@@ -42,7 +42,7 @@ def quantised(noise_steps: float, n: int, channels: int = 20) -> np.ndarray:
 
 
 @pytest.mark.parametrize("noise_steps", [0.0, 0.1, 0.3, 0.4, 0.7, 1.0, 3.3, 100.0])
-@pytest.mark.parametrize("n", [60, 200, 500])
+@pytest.mark.parametrize("n", [40, 200, 500])
 def test_repeats_that_are_allowed_are_never_fewer_than_the_true_noise_asks(
     noise_steps: float, n: int
 ) -> None:
@@ -51,7 +51,7 @@ def test_repeats_that_are_allowed_are_never_fewer_than_the_true_noise_asks(
     truth = repeats_until_found(repeat_probability(1.0, noise_steps), 9, 1000.0)
     allowed = [repeats_until_found(p, 9, 1000.0) for p in found.repeat]
     assert min(allowed) >= min(truth, 1e4)  # where fewer than 1e-3 leave the step, none is seen
-    if noise_steps >= 0.7:
+    if noise_steps >= 0.7 and n >= 200:
         assert max(allowed) < 5 * truth + 10
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..config.escaping import one_line
 from .path_types import LOG
 from .progress import progress, say
 from .text_table import text_table
@@ -104,7 +105,7 @@ def _contents(
 def _result_lines(result: ResultSummary) -> list[str]:
     of = f" of {len(result.logs)} log{'s' * (len(result.logs) != 1)}" if result.logs else ""
     return [
-        f"{result.path}: {result.command}{of}, {result.written:%Y-%m-%d %H:%M} UTC",
+        f"{one_line(str(result.path))}: {result.command}{of}, {result.written:%Y-%m-%d %H:%M} UTC",
         f"  {result.outcome}",
     ]
 
@@ -125,7 +126,7 @@ def _log_lines(logs: Sequence[LogSummary]) -> list[str]:
         about += [f"{records} record{'s' * (records != 1)}"] if records else []
         about.append(f"{sum(log.length_s for log in own):.6g} s")
         about.append(f"{sum(log.file_bytes for log in own) / 1e6:.3g} MB")
-        lines.append(f"{folder}: {', '.join(about)}")
+        lines.append(f"{one_line(str(folder))}: {', '.join(about)}")
         lines += [f"  note: {first.note}"] if first.note else []
         table = text_table(
             ("log", "kind", "begin s", "length s", "rows", "beam mm", "remarks"),
@@ -196,7 +197,8 @@ def _column_lines(logs: Sequence[LogSummary]) -> list[str]:
         if log.columns in shown:
             continue
         shown.append(log.columns)
-        lines += ["", f"columns of {log.path}:"] if lines else [f"columns of {log.path}:"]
+        title = f"columns of {one_line(str(log.path))}:"
+        lines += ["", title] if lines else [title]
         rows = [
             (c.name, "" if c.length is None else str(c.length), c.unit, str(c.dtype), c.meaning)
             for c in log.columns

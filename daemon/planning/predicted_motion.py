@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from ...config.rig import RigConfig
 from ...identification.subspace.simulation import Simulation
@@ -49,6 +50,11 @@ def predicted_motion(
     Raises:
         ConfigError: the model does not fit a rig.
     """
+    with threadpool_limits(1, "blas"):  # threads take longer for matrices this small
+        return _predicted(rig, plan, report)
+
+
+def _predicted(rig: RigConfig, plan: Plan, report: Progress) -> PredictedMotion | None:
     gap, tilt = (0.0, ""), (0.0, "")
     geometry = rig.geometry
     sensors = shape_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
@@ -70,7 +76,7 @@ def predicted_motion(
             pose = simulation.respond(block.wrench(coils))
             gap = max(gap, (float(np.abs(pose @ sensors.T).max()), step.name))
             tilt = max(tilt, (float(np.abs(pose[:, :2]).max()), step.name))
-            square += np.square(block.coil_forces(T_coils)).sum(axis=0)
+            square += block.coil_squares(T_coils)
             rows += block.rows
             report(step.name, block.rows)
         squares[step.name] = square / max(rows, 1)

@@ -37,14 +37,18 @@ class ExcitedBlock:
             wrench += samples[:, None] * shape[coil]
         return wrench
 
-    def coil_forces(self, T_coils: Array) -> Array:
-        """Return the block as coil forces (rows, C) in N; T_coils (3, C) shares out a wrench."""
-        forces = np.zeros((self.rows, T_coils.shape[1]))
-        for axis, samples in self.axes.items():
-            forces += samples[:, None] * T_coils[axis]
+    def coil_squares(self, T_coils: Array) -> Array:
+        """Return the sum of the squared forces of each coil (C,) in N^2 over the block.
+
+        T_coils (3, C) shares out a wrench. The forces of all coils are never in memory.
+        """
+        axes = list(self.axes)
+        v = np.stack(list(self.axes.values())) if axes else np.zeros((0, self.rows))
+        T = T_coils[axes]
+        squares = np.asarray(np.sum(T * (v @ v.T @ T), axis=0))
         for coil, samples in self.coils.items():
-            forces[:, coil] += samples
-        return forces
+            squares[coil] += samples @ samples + 2.0 * (v @ samples) @ T[:, coil]
+        return squares
 
 
 @dataclass(frozen=True)

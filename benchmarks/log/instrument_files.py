@@ -162,7 +162,9 @@ def lecroy_wavesurfer(m: Motion) -> Export:
         "Segment,TrigTime,TimeSinceSegment1\n#1,17-May-2024 09:41:02,0\nTime,Ampl1,Ampl2\n"
     )
     return Export(
-        ".csv", (head + _table([m.time_s - 2.5, u, y], ",", "%.9g")).encode(), *_scope("Ampl1", "Ampl2")
+        ".csv",
+        (head + _table([m.time_s - 2.5, u, y], ",", "%.9g")).encode(),
+        *_scope("Ampl1", "Ampl2"),
     )
 
 
@@ -229,9 +231,7 @@ def vector_canoe(m: Motion) -> Export:
     cells = [f"{1e6 * value:.1f}" for value in m.position_m]
     cells[50], cells[1200] = "", ""
     text += _table([m.time_s + 12.34567, m.force_n, cells], ";", "%.6f")
-    return Export(
-        ".csv", text.encode(), Channel("Actuator::Force"), Channel("Encoder::Position")
-    )
+    return Export(".csv", text.encode(), Channel("Actuator::Force"), Channel("Encoder::Position"))
 
 
 def matlab_timetable(m: Motion) -> Export:
@@ -267,18 +267,20 @@ def twincat_scope(m: Motion) -> Export:
     )
     ms = [f"{1e3 * t:g}" for t in m.time_s]
     text = head + _german(_table([ms, m.force_n, ms, m.position_m], "\t")) + "EOF\n"
-    return Export(".csv", text.encode(), Channel(1, 1.0), Channel(3, 1.0))
+    return Export(".csv", text.encode(), Channel("Force", 1.0), Channel("Position", 1.0))
 
 
 def siemens_trace(m: Motion) -> Export:
     """Siemens trace: sample number, time since 1970 in ms, semicolons."""
     since_ms = 1e3 * (_START.timestamp() + m.time_s)
-    head = "Sample;Timestamp;\"Drive\".Force;\"Drive\".Position\n"
+    head = 'Sample;Timestamp;"Drive".Force;"Drive".Position\n'
     rows = "".join(
         f"{i};{t:.0f};{a:.7f};{b:.8f}\n"
         for i, (t, a, b) in enumerate(zip(since_ms, m.force_n, m.position_m, strict=True), 1)
     )
-    return Export(".csv", (head + rows).encode(), Channel("Drive.Force", 1.0), Channel("Drive.Position", 1.0))
+    return Export(
+        ".csv", (head + rows).encode(), Channel("Drive.Force", 1.0), Channel("Drive.Position", 1.0)
+    )
 
 
 def rostopic_echo(m: Motion) -> Export:
@@ -288,7 +290,9 @@ def rostopic_echo(m: Motion) -> Export:
     seq = [str(5000 + i) for i in range(len(ns))]
     head = "%time,field.header.seq,field.header.stamp,field.effort0,field.position0\n"
     text = head + _table([ns, seq, ns, m.force_n, m.position_m], ",", "%.10g")
-    return Export(".csv", text.encode(), Channel("field.effort0", 1.0), Channel("field.position0", 1.0))
+    return Export(
+        ".csv", text.encode(), Channel("field.effort0", 1.0), Channel("field.position0", 1.0)
+    )
 
 
 def ros2_seconds_and_nanoseconds(m: Motion) -> Export:

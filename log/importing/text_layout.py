@@ -20,9 +20,11 @@ from .time_cells import stamp
 Row = tuple[int, list[str]]
 """Line number, from 1, and cells without spaces around them."""
 
-_SAMPLE_LINES = 1000
+_SAMPLE_LINES = 500
 _LONGEST_UNIT = 12
 """Most characters of a cell in a header line that holds units."""
+_FIRST = frozenset("+-.,")
+"""Characters, beside digits, that begin a number."""
 _COMMENTS = ("#", "%")
 _HEADER_LINES = 8
 """Most lines above the first row of numbers that may hold names or units of the columns."""
@@ -120,7 +122,10 @@ def rows(
 
 def is_value(cell: str) -> bool:
     """Return whether a cell holds a number, a number with its unit, or a date."""
-    return (
+    first = cell[:1]
+    if first.isascii() and not (first.isdigit() or first in _FIRST):
+        return ANY_FORMAT.number(cell) is not None  # nan and inf are numbers
+    return bool(first) and (
         ANY_FORMAT.number(cell) is not None
         or (sign_meaning(cell) or ("", ""))[1] == "thousands"
         or stamp(cell) is not None

@@ -112,7 +112,11 @@ def fit_grid(
     time_s = time_s - time_s[0]
     steps = np.diff(time_s)
     rough_s = _rough_period(time_s)
-    if stated_period_s is not None and _stated_fits(rough_s, stated_period_s, len(time_s)):
+    mean_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    if stated_period_s is not None and (
+        _stated_fits(rough_s, stated_period_s, len(time_s))
+        or _stated_fits(mean_s, stated_period_s, len(time_s))
+    ):
         rough_s = stated_period_s
     if rough_s > 0.0:
         resolution_s = max(resolution_s, _resolution(time_s, rough_s))

@@ -91,9 +91,7 @@ def text_layout(file: Iterable[str], *, whitespace: bool) -> TextLayout | None:
         return None
     most = max(table.values for table in tables)
     best = [table for table in tables if table.values >= most * (1.0 - 1e-9)]
-    if most == 0.0:
-        best.sort(key=lambda table: -table.width)
-    table = next((table for table in best if table.named), best[0])
+    table = min(best, key=lambda table: (most > 0.0 and not table.named, -table.width))
     return _with_header(table, lines)
 
 
@@ -144,7 +142,7 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
     counts = Counter(len(kind) for kind in kinds[len(kinds) // 2 :] if any(kind))
     if not counts:
         return _Table(separator, sample, len(sample), len(trimmed[-1]), (), 0.0)
-    usual = max(counts, key=lambda width: (counts[width], -width))
+    usual = max(counts, key=counts.__getitem__)
     late = [kind for kind in kinds[len(kinds) // 2 :] if len(kind) == usual]
     numeric = tuple(i for i in range(usual) if 2 * sum(kind[i] for kind in late) > len(late))
     if not numeric:
@@ -153,6 +151,8 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
         len(cells) > numeric[-1] and _fits(shorter, kind, numeric)
         for (_, cells), shorter, kind in zip(sample, trimmed, kinds, strict=True)
     ]
+    if not any(fits):
+        return _Table(separator, sample, len(sample), usual, (), 0.0)
     start = _first_row(fits, trimmed)
     inside = [k for k, fit in zip(kinds[start:], fits[start:], strict=True) if fit]
     filled = sum(bool(c) for t, fit in zip(trimmed, fits, strict=True) if fit for c in t)
@@ -175,7 +175,7 @@ def _first_row(fits: Sequence[bool], trimmed: Sequence[Sequence[str]]) -> int:
             continue
         below = range(start + 1, min(start + 3, len(fits)))
         # A line with the numbers of the channels may stand above the units.
-        if not any(not fits[i] and _are_units(trimmed[i]) for i in below):
+        if not any(not fits[i] and _are_units(trimmed[i], least=1.0) for i in below):
             return start
     return next(i for i, fit in enumerate(fits) if fit)
 
@@ -260,12 +260,15 @@ def _different(cells: Sequence[str]) -> int:
     return len({cell for cell in cells if cell and not is_value(cell)})
 
 
-def _are_units(cells: Sequence[str]) -> bool:
+def _are_units(cells: Sequence[str], *, least: float = 1 / 3) -> bool:
+    """Return whether a share `least` of the texts are known units, and the others are short."""
     found = [_bare_unit(cell) for cell in cells if cell]
     if any(ANY_FORMAT.number(unit) not in (None, 1.0) for unit in found):
         return False
     known = [unit for unit in found if header_unit(unit) not in (None, "1")]
-    return bool(known) and 3 * len(known) >= len(found) and max(map(len, found)) <= _LONGEST_UNIT
+    return (
+        bool(known) and len(known) >= least * len(found) and max(map(len, found)) <= _LONGEST_UNIT
+    )
 
 
 def _bare_unit(cell: str) -> str:

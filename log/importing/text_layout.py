@@ -153,7 +153,7 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
     ]
     if not any(fits):
         return _Table(separator, sample, len(sample), usual, (), 0.0)
-    start = _first_row(fits, trimmed)
+    start = _first_row(fits, trimmed, _usual_texts(trimmed, numeric, usual))
     inside = [k for k, fit in zip(kinds[start:], fits[start:], strict=True) if fit]
     filled = sum(bool(c) for t, fit in zip(trimmed, fits, strict=True) if fit for c in t)
     values = sum(sum(kind) for kind in inside)
@@ -167,11 +167,26 @@ def _fits(cells: Sequence[str], kind: Sequence[bool], numeric: Sequence[int]) ->
     return any(found) and not text
 
 
-def _first_row(fits: Sequence[bool], trimmed: Sequence[Sequence[str]]) -> int:
+def _usual_texts(
+    trimmed: Sequence[Sequence[str]], numeric: Sequence[int], width: int
+) -> list[bool]:
+    """Return which rows have text in the same columns as most rows of the table."""
+    columns = [i for i in range(width) if i not in numeric]
+    filled = [tuple(bool(cells[i]) for i in columns if i < len(cells)) for cells in trimmed]
+    usual = Counter(filled[len(filled) // 2 :]).most_common(1)[0][0]
+    return [each == usual for each in filled]
+
+
+def _first_row(
+    fits: Sequence[bool], trimmed: Sequence[Sequence[str]], usual: Sequence[bool]
+) -> int:
     """Return the first row of the table: most rows after it have numbers, and no units follow."""
     for start, fit in enumerate(fits):
         ahead = fits[start : start + _AHEAD]
         if not fit or 2 * sum(ahead) < len(ahead):
+            continue
+        # An entry such as `Offset,0,0` is no row; other lines of text follow it.
+        if not usual[start] and not all(fits[start : start + _HEADER_LINES]):
             continue
         below = range(start + 1, min(start + 3, len(fits)))
         # A line with the numbers of the channels may stand above the units.
@@ -231,15 +246,15 @@ def _header_rows(table: _Table) -> tuple[int | None, int | None]:
     """Return the indices of the rows with the names and the units of the columns."""
     near = range(table.start - 1, max(table.start - 1 - _HEADER_LINES, -1), -1)
     columns = table.numeric or range(table.width)
-    lines = {
-        i: [cells[c] for c in columns if c < len(cells)]
-        for i in near
-        if len(cells := table.sample[i][1]) > columns[0]
-        and len(_trimmed(cells)) >= min(table.width, 2)
-    }
-    full = {
-        i: cells for i, cells in lines.items() if sum(map(bool, cells)) >= _FILLED * len(columns)
-    }
+    lines, full = {}, {}
+    for i in near:
+        cells = [cell for c, cell in enumerate(table.sample[i][1]) if c in columns]
+        filled = sum(map(bool, cells))
+        if filled < min(table.width, 2) and not _are_units(cells):
+            break  # a title; names and units stand between it and the table
+        lines[i] = cells
+        if filled >= _FILLED * len(columns):
+            full[i] = cells
     units = next((i for i, cells in lines.items() if _are_units(cells)), None)
     texts = [i for i, cells in full.items() if i != units and not all(map(is_value, cells))]
     # One with units, else one with the most different texts: a line of types repeats itself.

@@ -68,11 +68,15 @@ class ClockColumn:
 
 @dataclass(frozen=True)
 class NamedColumn:
-    """Name and unit of a column, and whether its cells are dates or times of day."""
+    """Name and unit of a column, and whether its cells are dates or times of day.
+
+    signal: whether the name says that it is an input or output.
+    """
 
     name: str
     unit: str
     dates: bool
+    signal: bool = False
 
 
 def find_clock(
@@ -147,7 +151,7 @@ def _may_be_time(column: NamedColumn) -> bool:
 def _is_first_clock(column: NamedColumn, values: Array) -> bool:
     """Return whether a first column without a known unit rises steadily, as a clock does."""
     known = values[~np.isnan(values)]
-    if len(known) < 3 or (column.unit and header_unit(column.unit) is not None):
+    if column.signal or len(known) < 3 or (column.unit and header_unit(column.unit) is not None):
         return False
     steps = np.diff(known)
     if not np.all(steps > 0.0) or _counts_rows(known):

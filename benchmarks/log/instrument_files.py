@@ -267,7 +267,7 @@ def twincat_scope(m: Motion) -> Export:
     )
     ms = [f"{1e3 * t:g}" for t in m.time_s]
     text = head + _german(_table([ms, m.force_n, ms, m.position_m], "\t")) + "EOF\n"
-    return Export(".csv", text.encode(), Channel(1, 1.0), Channel(3, 1.0))
+    return Export(".csv", text.encode(), Channel("Force", 1.0), Channel("Position", 1.0))
 
 
 def siemens_trace(m: Motion) -> Export:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import scipy.io
+import scipy.sparse
 from numpy.typing import NDArray
 
 from ..errors import LogError
@@ -28,6 +29,16 @@ MATLAB_OBJECT = (
     "its arrays, such as t = x.Time; y = x.Data; save('data.mat', 't', 'y', '-v7')"
 )
 """Content of a variable that scipy does not read, with a remedy."""
+_KINDS = {
+    "c": "complex numbers",
+    "O": "a cell array or objects",
+    "M": "dates",
+    "m": "durations",
+    "V": "a structured array",
+}
+"""Contents of arrays by the kind of their type."""
+_MOST_FULL_VALUES = 50_000_000
+"""Most values of a sparse matrix that is filled with its zeros."""
 _LONGEST_TEXT = 100
 _MOST_DEPTH = 8
 """Most levels of structs that are listed."""
@@ -58,9 +69,14 @@ def read_variables(path: Path, signals: SignalsFile, variables: Mapping[str, Any
     for column in signals.columns:
         where = f"{path}: {column.label}"
         value, index = _chosen(where, column, variables)
+        value = _as_array(value)
+        if column.role == "time" and isinstance(value, np.ndarray) and value.dtype.kind in "mM":
+            value = _seconds(where, column, value)
         content = _content(value)
         if content is not None:
-            raise LogError(f"{where}: expected real numbers, found {content}")
+            raise LogError(
+                f"{where}: expected real numbers, found {content}{_remedy(value, column)}"
+            )
         values = np.asarray(value).astype(np.float64)
         columns.append(_vector(where, values, index, signals.samples))
     for column, values in zip(signals.columns, columns, strict=True):
@@ -135,6 +151,9 @@ def load_mat(path: Path) -> dict[str, Any]:
 
 
 def _listed(path: str, value: object, depth: int = 0) -> Iterator[Variable]:
+    value = _as_array(value)
+    if depth < _MOST_DEPTH and isinstance(value, np.ndarray) and value.dtype.names:
+        value = {name: value[name] for name in value.dtype.names}
     if depth < _MOST_DEPTH and isinstance(value, Mapping):
         for name, field in value.items():
             yield from _listed(f"{path}.{name}", field, depth + 1)
@@ -147,6 +166,48 @@ def _listed(path: str, value: object, depth: int = 0) -> Iterator[Variable]:
     else:
         array = np.asarray(value)
         yield Variable(path, array.shape, value=float(array.item()) if array.size == 1 else None)
+
+
+def _as_array(value: object) -> object:
+    """Return a sparse matrix as a full one, and a cell array of numbers as numbers."""
+    if scipy.sparse.issparse(value):
+        shape = value.shape  # type: ignore[attr-defined]
+        return value.toarray() if np.prod(shape) <= _MOST_FULL_VALUES else value  # type: ignore[attr-defined]
+    cells = isinstance(value, np.ndarray) and value.dtype.kind == "O"
+    if cells and value.size and all(isinstance(v, (int, float)) for v in value.flat):  # type: ignore[attr-defined]
+        return value.astype(np.float64)  # type: ignore[attr-defined]
+    return value
+
+
+def _seconds(where: str, column: Column, value: NDArray[Any]) -> NDArray[np.float64]:
+    """Return dates or durations of numpy as seconds after the first."""
+    if column.unit != "s":
+        raise LogError(
+            f"{where}: dates and durations are converted to s; expected unit: s, found "
+            f"{column.unit}"
+        )
+    flat = value.ravel()
+    known = flat[~np.isnat(flat)]
+    return np.asarray((flat - known[0]) / np.timedelta64(1, "ns") * 1e-9 if len(known) else flat)
+
+
+def _remedy(value: object, column: Column) -> str:
+    """Return what to do with a variable that holds no real numbers."""
+    name = column.column
+    kind = np.asarray(value).dtype.kind
+    if kind == "c":
+        return f"; save its parts, such as real({name}), imag({name}) or abs({name}), as variables"
+    if kind in "mM":
+        return "; dates and durations are read with role time"
+    if kind == "V":
+        fields = ", ".join(f"{name}.{field}" for field in np.asarray(value).dtype.names or ())
+        return f"; give one of its fields: {fields}"
+    if kind == "O" and not isinstance(value, (Mapping, scipy.io.matlab.MatlabOpaque)):
+        return (
+            f"; of a cell array, save the numbers: cell2mat({name}) in MATLAB; of Python objects, "
+            "save arrays of numbers"
+        )
+    return ""
 
 
 def _is_struct_array(value: object) -> bool:
@@ -163,10 +224,10 @@ def _content(value: object) -> str | None:
         return "text"
     if isinstance(value, scipy.io.matlab.MatlabOpaque):
         return MATLAB_OBJECT
+    if scipy.sparse.issparse(value):
+        return f"a sparse matrix with more than {_MOST_FULL_VALUES:,} values"
     array = np.asarray(value)
-    if array.dtype.kind == "c":
-        return "complex numbers"
-    return None if array.dtype.kind in "fiub" else f"{array.dtype} values"
+    return None if array.dtype.kind in "fiub" else _KINDS.get(array.dtype.kind, "no numbers")
 
 
 def _chosen(where: str, column: Column, variables: Mapping[str, Any]) -> tuple[object, int | None]:
@@ -191,6 +252,9 @@ def _variable(where: str, path: str, variables: Mapping[str, Any]) -> object:
     for part in path.split("."):
         element = _ELEMENT.fullmatch(part)
         name = element["name"] if element else part
+        if isinstance(found, np.ndarray) and name in (found.dtype.names or ()):
+            found = found[name]
+            continue
         if not isinstance(found, Mapping) or name not in found:
             if any(isinstance(v, scipy.io.matlab.MatlabOpaque) for v in variables.values()):
                 # scipy reads neither the names of objects nor their content.

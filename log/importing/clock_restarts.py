@@ -41,14 +41,14 @@ def continuous_time(
     steps = np.diff(time_s)
     back = np.flatnonzero(steps < 0.0)
     forward = steps[steps > 0.0]
-    if not len(back) or not len(forward):
+    if not len(back):
         return time_s, remarks
-    period_s = float(np.median(forward))
     if len(back) > len(forward):
         raise LogError(
             f"{where}: expected times that increase from row to row, found times that decrease; "
             "reverse the order of the rows"
         )
+    period_s = float(np.median(forward))
     range_s = _clock_range(-steps[back], period_s, unit_s)
     again = np.abs(time_s[back + 1] - time_s[0]) < 0.5 * period_s
     if range_s is None or len(back) > max(1.0, _MOST_BACK * len(steps)) or again.all():
@@ -90,7 +90,8 @@ def _refuse(
     """
     steps_s = np.diff(time_s)[back]
     ordered = np.diff(np.sort(time_s))
-    shuffled = np.mean(np.abs(ordered - period_s) < 0.2 * period_s) > _MOSTLY
+    regular = np.mean(np.abs(ordered - period_s) < 0.2 * period_s) > _MOSTLY
+    shuffled = regular and len(back) > _MOST_BACK * len(time_s)
     if not begins_again and (shuffled or -steps_s.min() < _FAR * period_s):
         return
     range_s = -steps_s + period_s

@@ -40,12 +40,12 @@ class ColumnReader:
         self._stated = self._format.decimal_sign is not None
         # float() reads neither decimal commas nor separators of thousands.
         self._quick = self._format.decimal_sign != "," and signals.thousands is None
-        self._decided = self._stated or (".", "decimal") in layout.signs
-        self._missing = {str(text).lower() for text in signals.missing}
+        self._decimal_signs = {sign for sign, proof in layout.signs if proof == "decimal"}
+        self._decided = self._stated or "." in self._decimal_signs
+        self._missing = {text for text in signals.missing if isinstance(text, str)}
         self._numbers = array("d")
         self._stamps: dict[int, Stamp] = {}
         self._first_unit: KnownUnit | None = None
-        self._plain_numbers = 0
 
     def read(self, line: int, cell: str) -> None:
         """Append the number in a cell; raise LogError if there is none."""
@@ -76,11 +76,13 @@ class ColumnReader:
         return []
 
     def _other(self, line: int, cell: str) -> float:
-        if is_missing(cell) or cell.lower() in self._missing:
+        if cell in self._missing:
             return float("nan")
         if (value := self._format.number(cell)) is not None:
             self._note_sign(line, cell)
             return value
+        if is_missing(cell):
+            return float("nan")
         if self.column.role == "time" and (when := stamp(cell)) is not None:
             return self._stamp(line, cell, when)
         if (found := with_unit(cell)) is not None:
@@ -109,12 +111,16 @@ class ColumnReader:
         return float("nan")
 
     def _note_sign(self, line: int, cell: str) -> None:
-        if self._stated:
+        known = {sign for sign in ".," if sign in cell} == self._decimal_signs
+        if self._stated or known:
             return
         meaning = sign_meaning(cell)
-        if meaning is not None:
-            self.seen.setdefault(meaning, (line, cell))
-            self._decided = self._decided or meaning == (".", "decimal")
+        if meaning is None:
+            return
+        self.seen.setdefault(meaning, (line, cell))
+        if meaning[1] == "decimal":
+            self._decimal_signs.add(meaning[0])
+            self._decided = self._decided or meaning[0] == "."
 
     def _error(self, line: int, cell: str) -> LogError:
         where = f"{self._path}: line {line}, {self.column.label}"

@@ -143,7 +143,11 @@ def _time(
     path: Path, found: FileColumns, values: Sequence[Array]
 ) -> tuple[tuple[ClockColumn, ...], list[str], tuple[str, ...]]:
     """Return the columns with the time, the lines on the rate, and what to fill in."""
-    named = [NamedColumn(c.label, c.unit, c.dates) for c in found.columns]
+    signals = (_INPUTS | _OUTPUTS | _REFERENCES) - {"x"}
+    named = [
+        NamedColumn(c.label, c.unit, c.dates, bool(signals & set(_words(c.label))))
+        for c in found.columns
+    ]
     rate_hz = found.rate[1] if found.rate else None
     clocks = find_clock(named, values, rate_hz)
     if clocks and clocks[0].unknown:

@@ -70,7 +70,8 @@ def header_cell(text: str) -> HeaderCell:
         for found in _BRACKETS.finditer(text)
     ]
     known = [each for each in brackets if header_unit(each[1])]
-    last = [each for each in brackets if each[0].end() == len(text)]
+    # V(pos) is a name; in another unit than the known ones, counts stand apart: Pos (counts).
+    last = [e for e in brackets if e[0].end() == len(text) and e[0][0][:1] in " ["]
     for found, unit in [*known[-1:], *last]:
         name = f"{text[: found.start()]} {text[found.end() :]}".strip()
         return HeaderCell(text, name or text, unit)

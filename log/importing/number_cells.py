@@ -34,6 +34,8 @@ _PLAIN = str.maketrans(
     }
 )
 """Signs that mean the same as an ASCII sign: minus, spaces of any width, apostrophes."""
+_UNUSUAL = frozenset("dD '")
+"""Characters of which a number with only ASCII signs needs one to be rewritten."""
 _SPACED = re.compile(r"[-+]?\d{1,3}(?:([ '])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")
 """Thousands that are separated by spaces or apostrophes, which nothing else can be."""
 _FORTRAN = re.compile(r"([-+]?(?:\d+[.,]?\d*|[.,]\d+))[dD]([-+]?\d{1,3})")
@@ -68,6 +70,11 @@ class NumberFormat:
         """
         if "_" in cell:
             return None
+        if self is ANY_FORMAT:
+            try:
+                return float(cell)
+            except ValueError:
+                pass
         text = plain(cell)
         if self.thousands is not None and self.thousands in text:
             if not _in_groups(text, self.thousands):
@@ -90,6 +97,8 @@ def plain(cell: str) -> str:
     text = cell
     if not text.isascii():
         text = text.translate(_PLAIN).strip()
+    elif text.isdecimal() or not _UNUSUAL & set(text):
+        return text
     if found := _FORTRAN.fullmatch(text):
         return f"{found[1]}e{found[2]}"
     if _SPACED.fullmatch(text):

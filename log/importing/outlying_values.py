@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,6 +26,8 @@ _OVER_STEPS = 5.0
 in the rows after it as well."""
 _AROUND = 25
 """Rows before and after a spike in which its height is compared with other steps."""
+_MOST_NEAR = 5.5
+"""Most spikes in the rows around one: more are an oscillation."""
 _MOST_SPIKES = 0.02
 """Largest share of rows in spikes: more of them belong to the signal."""
 _CODES = frozenset(
@@ -91,22 +93,21 @@ def lone_extremes(values: Array) -> NDArray[np.int64]:
 def _codes(values: Array) -> Mask:
     """Return which values are codes: far from all others, and a usual code or impossibly large."""
     found = np.abs(values) >= _LARGEST
-    candidates, counts = np.unique(values[~found], return_counts=True)
-    for code, count in zip(candidates, counts, strict=True):
-        if count > _MOST_CODES * len(values) or not _is_code(code):
-            continue
-        others = candidates[(candidates != code) & ~np.isin(candidates, list(_CODES))]
-        if not len(others):
-            continue
-        spread = float(np.ptp(others))
-        distance = float(np.abs(others - code).min())
-        if distance > _FAR * spread and (spread > 0.0 or abs(code) > _FAR * np.abs(others).max()):
-            found |= values == code
+    near = {code: np.abs(values - code) <= 1e-6 * abs(code) for code in _CODES}
+    near = {code: mask for code, mask in near.items() if mask.any()}
+    if not near:
+        return found
+    others = values[~(found | np.any(list(near.values()), axis=0))]
+    if not len(others):
+        return found
+    spread, largest = float(np.ptp(others)), float(np.abs(others).max())
+    for code, mask in near.items():
+        far = min(abs(code - others.min()), abs(code - others.max())) > _FAR * spread
+        inside = others.min() < code < others.max()
+        apart = spread > 0.0 or abs(code) > _FAR * largest
+        if far and not inside and apart and np.count_nonzero(mask) <= _MOST_CODES * len(values):
+            found |= mask
     return found
-
-
-def _is_code(value: float) -> bool:
-    return bool(value in _CODES or np.isclose(value, list(_CODES), rtol=1e-6, atol=0.0).any())
 
 
 def _spikes(values: Array) -> Mask:
@@ -115,7 +116,7 @@ def _spikes(values: Array) -> Mask:
     The height of a spike is its distance from the running median, which follows steps. It must be
     far above noise, and above what the signal moves from row to row nearby.
     """
-    height = np.abs(values - median_filter(values, 2 * _LONGEST_SPIKE + 1, mode="nearest"))
+    height = np.abs(values - median_filter(values, 2 * _LONGEST_SPIKE + 1, mode="mirror"))
     step = np.abs(np.diff(values))
     usual = step[step > 0.0]
     if not len(usual):
@@ -124,11 +125,14 @@ def _spikes(values: Array) -> Mask:
     high = height > _OVER_NOISE * scale
     if not high.any():
         return high
+    high &= ~_long_runs(high)
     # Steps into and out of high rows do not count: they are what is judged.
     quiet = np.where(high[1:] | high[:-1], 0.0, step)
-    largest = maximum_filter1d(np.concatenate([[0.0], quiet]), 2 * _AROUND + 1, mode="constant")
-    found = high & (height > _OVER_STEPS * np.maximum(largest, scale))
-    found &= ~_long_runs(found)
+    width = 2 * _AROUND + 1
+    largest = maximum_filter1d(np.concatenate([[0.0], quiet]), width, mode="constant")
+    begins = np.diff(np.concatenate([[0], high.astype(np.int64)])) == 1
+    near = uniform_filter1d(begins.astype(np.float64), width, mode="constant") * width
+    found = high & (height > _OVER_STEPS * np.maximum(largest, scale)) & (near < _MOST_NEAR)
     if np.count_nonzero(found) > _MOST_SPIKES * len(values):
         return np.zeros(len(values), bool)
     return found

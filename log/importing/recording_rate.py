@@ -15,7 +15,7 @@ _PERIODS = frozenset(
     | {"xincrement", "xinc", "sampleinterval", "samplinginterval", "sampleperiod", "timeperpoint"}
     | {"samplingperiod", "timeinterval", "interval", "timestep", "stepsize", "horizontalinterval"}
     | {"abtastzeit", "abtastintervall", "zeitschritt", "cycletime", "timebaseinterval", "xdelta"}
-    | {"recordinterval", "timedelta", "wfdt", "hinterval"}
+    | {"recordinterval", "timedelta", "wfdt", "hinterval", "hresolution", "horizontalresolution"}
 )
 _RATES = frozenset(
     {"fs", "rate", "samplerate", "samplingrate", "fsample", "ratehz", "samplefrequency"}

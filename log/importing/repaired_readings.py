@@ -131,6 +131,12 @@ def _without_wraps(
                 "wraps for this column"
             )
         return values, True
+    if wrap.range is None and len(wrap.rows) == 1:
+        remarks.append(
+            f"{column.name} jumps once, by {wrap.estimate:.6g} in row {rows}; it is kept. If the "
+            "sensor was set to zero there, import the rows before and after alone (key rows)"
+        )
+        return values, True
     if wrap.range is None:
         raise _unknown_range(where, column, wrap, rows)
     remarks.append(

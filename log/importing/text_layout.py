@@ -20,9 +20,11 @@ from .time_cells import stamp
 Row = tuple[int, list[str]]
 """Line number, from 1, and cells without spaces around them."""
 
-_SAMPLE_LINES = 1000
+_SAMPLE_LINES = 500
 _LONGEST_UNIT = 12
 """Most characters of a cell in a header line that holds units."""
+_FIRST = frozenset("+-.,")
+"""Characters, beside digits, that begin a number."""
 _COMMENTS = ("#", "%")
 _HEADER_LINES = 8
 """Most lines above the first row of numbers that may hold names or units of the columns."""
@@ -89,9 +91,7 @@ def text_layout(file: Iterable[str], *, whitespace: bool) -> TextLayout | None:
         return None
     most = max(table.values for table in tables)
     best = [table for table in tables if table.values >= most * (1.0 - 1e-9)]
-    if most == 0.0:
-        best.sort(key=lambda table: -table.width)
-    table = next((table for table in best if table.named), best[0])
+    table = min(best, key=lambda table: (most > 0.0 and not table.named, -table.width))
     return _with_header(table, lines)
 
 
@@ -120,7 +120,10 @@ def rows(
 
 def is_value(cell: str) -> bool:
     """Return whether a cell holds a number, a number with its unit, or a date."""
-    return (
+    first = cell[:1]
+    if first.isascii() and not (first.isdigit() or first in _FIRST):
+        return ANY_FORMAT.number(cell) is not None  # nan and inf are numbers
+    return bool(first) and (
         ANY_FORMAT.number(cell) is not None
         or (sign_meaning(cell) or ("", ""))[1] == "thousands"
         or stamp(cell) is not None
@@ -139,7 +142,7 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
     counts = Counter(len(kind) for kind in kinds[len(kinds) // 2 :] if any(kind))
     if not counts:
         return _Table(separator, sample, len(sample), len(trimmed[-1]), (), 0.0)
-    usual = max(counts, key=lambda width: (counts[width], -width))
+    usual = max(counts, key=counts.__getitem__)
     late = [kind for kind in kinds[len(kinds) // 2 :] if len(kind) == usual]
     numeric = tuple(i for i in range(usual) if 2 * sum(kind[i] for kind in late) > len(late))
     if not numeric:
@@ -148,7 +151,9 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
         len(cells) > numeric[-1] and _fits(shorter, kind, numeric)
         for (_, cells), shorter, kind in zip(sample, trimmed, kinds, strict=True)
     ]
-    start = _first_row(fits, trimmed)
+    if not any(fits):
+        return _Table(separator, sample, len(sample), usual, (), 0.0)
+    start = _first_row(fits, trimmed, _usual_texts(trimmed, numeric, usual))
     inside = [k for k, fit in zip(kinds[start:], fits[start:], strict=True) if fit]
     filled = sum(bool(c) for t, fit in zip(trimmed, fits, strict=True) if fit for c in t)
     values = sum(sum(kind) for kind in inside)
@@ -162,15 +167,30 @@ def _fits(cells: Sequence[str], kind: Sequence[bool], numeric: Sequence[int]) ->
     return any(found) and not text
 
 
-def _first_row(fits: Sequence[bool], trimmed: Sequence[Sequence[str]]) -> int:
+def _usual_texts(
+    trimmed: Sequence[Sequence[str]], numeric: Sequence[int], width: int
+) -> list[bool]:
+    """Return which rows have text in the same columns as most rows of the table."""
+    columns = [i for i in range(width) if i not in numeric]
+    filled = [tuple(bool(cells[i]) for i in columns if i < len(cells)) for cells in trimmed]
+    usual = Counter(filled[len(filled) // 2 :]).most_common(1)[0][0]
+    return [each == usual for each in filled]
+
+
+def _first_row(
+    fits: Sequence[bool], trimmed: Sequence[Sequence[str]], usual: Sequence[bool]
+) -> int:
     """Return the first row of the table: most rows after it have numbers, and no units follow."""
     for start, fit in enumerate(fits):
         ahead = fits[start : start + _AHEAD]
         if not fit or 2 * sum(ahead) < len(ahead):
             continue
+        # An entry such as `Offset,0,0` is no row; other lines of text follow it.
+        if not usual[start] and not all(fits[start : start + _HEADER_LINES]):
+            continue
         below = range(start + 1, min(start + 3, len(fits)))
         # A line with the numbers of the channels may stand above the units.
-        if not any(not fits[i] and _are_units(trimmed[i]) for i in below):
+        if not any(not fits[i] and _are_units(trimmed[i], least=1.0) for i in below):
             return start
     return next(i for i, fit in enumerate(fits) if fit)
 
@@ -226,15 +246,15 @@ def _header_rows(table: _Table) -> tuple[int | None, int | None]:
     """Return the indices of the rows with the names and the units of the columns."""
     near = range(table.start - 1, max(table.start - 1 - _HEADER_LINES, -1), -1)
     columns = table.numeric or range(table.width)
-    lines = {
-        i: [cells[c] for c in columns if c < len(cells)]
-        for i in near
-        if len(cells := table.sample[i][1]) > columns[0]
-        and len(_trimmed(cells)) >= min(table.width, 2)
-    }
-    full = {
-        i: cells for i, cells in lines.items() if sum(map(bool, cells)) >= _FILLED * len(columns)
-    }
+    lines, full = {}, {}
+    for i in near:
+        cells = [cell for c, cell in enumerate(table.sample[i][1]) if c in columns]
+        filled = sum(map(bool, cells))
+        if filled < min(table.width, 2) and not _are_units(cells):
+            break  # a title; names and units stand between it and the table
+        lines[i] = cells
+        if filled >= _FILLED * len(columns):
+            full[i] = cells
     units = next((i for i, cells in lines.items() if _are_units(cells)), None)
     texts = [i for i, cells in full.items() if i != units and not all(map(is_value, cells))]
     # One with units, else one with the most different texts: a line of types repeats itself.
@@ -255,12 +275,15 @@ def _different(cells: Sequence[str]) -> int:
     return len({cell for cell in cells if cell and not is_value(cell)})
 
 
-def _are_units(cells: Sequence[str]) -> bool:
+def _are_units(cells: Sequence[str], *, least: float = 1 / 3) -> bool:
+    """Return whether a share `least` of the texts are known units, and the others are short."""
     found = [_bare_unit(cell) for cell in cells if cell]
     if any(ANY_FORMAT.number(unit) not in (None, 1.0) for unit in found):
         return False
     known = [unit for unit in found if header_unit(unit) not in (None, "1")]
-    return bool(known) and 3 * len(known) >= len(found) and max(map(len, found)) <= _LONGEST_UNIT
+    return (
+        bool(known) and len(known) >= least * len(found) and max(map(len, found)) <= _LONGEST_UNIT
+    )
 
 
 def _bare_unit(cell: str) -> str:

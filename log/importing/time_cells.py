@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -110,14 +111,20 @@ def _offset_s(zone: str | None) -> float:
 def _day_s(found: re.Match[str], *, month_first: bool) -> float | None:
     """Return the seconds from 1970 to the date's midnight; None if there is no such date."""
     if found["y"]:
-        year, month, day = int(found["y"]), int(found["m"]), int(found["d"])
-    else:
-        year = int(found["y2"]) + (2000 if len(found["y2"]) == 2 else 0)
-        if found["b"].isdigit():
-            first, second = int(found["a"]), int(found["b"])
-            month, day = (first, second) if month_first else (second, first)
-        else:
-            month, day = _MONTH_OF.get(found["b"][:3].lower(), 0), int(found["a"])
+        return _midnight_s(int(found["y"]), int(found["m"]), int(found["d"]))
+    year = int(found["y2"]) + (2000 if len(found["y2"]) == 2 else 0)
+    first, second = int(found["a"]), found["b"]
+    if not second.isdigit():
+        return _midnight_s(year, _MONTH_OF.get(second[:3].lower(), 0), first)
+    return (
+        _midnight_s(year, first, int(second))
+        if month_first
+        else _midnight_s(year, int(second), first)
+    )
+
+
+@functools.cache
+def _midnight_s(year: int, month: int, day: int) -> float | None:
     try:
         return (datetime(year, month, day, tzinfo=UTC) - _ORIGIN) / timedelta(seconds=1)
     except ValueError:

@@ -20,6 +20,9 @@ _FIRST_S, _LAST_S = 9.46e8, 4.1e9
 """Seconds from 1970 to 2000 and to 2100: stamps in this range count from 1970."""
 _TICKS_OF_1601 = (1.25e17, 1.6e17)
 """100 ns since 1601, as Windows counts."""
+_DAYS_OF_1900, _DAYS_OF_0 = (3.0e4, 8.0e4), (7.0e5, 7.7e5)
+"""Days as spreadsheets and MATLAB count them, from 1982 to 2119 and from 1916 to 2108."""
+_SHORTEST_STEP_S = 1e-5
 _UNITS_OF_1970 = (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9))
 _WORDS = (
     ("nano", "ns"),
@@ -65,11 +68,15 @@ class ClockColumn:
 
 @dataclass(frozen=True)
 class NamedColumn:
-    """Name and unit of a column, and whether its cells are dates or times of day."""
+    """Name and unit of a column, and whether its cells are dates or times of day.
+
+    signal: whether the name says that it is an input or output.
+    """
 
     name: str
     unit: str
     dates: bool
+    signal: bool = False
 
 
 def find_clock(
@@ -144,7 +151,7 @@ def _may_be_time(column: NamedColumn) -> bool:
 def _is_first_clock(column: NamedColumn, values: Array) -> bool:
     """Return whether a first column without a known unit rises steadily, as a clock does."""
     known = values[~np.isnan(values)]
-    if len(known) < 3 or (column.unit and header_unit(column.unit) is not None):
+    if column.signal or len(known) < 3 or (column.unit and header_unit(column.unit) is not None):
         return False
     steps = np.diff(known)
     if not np.all(steps > 0.0) or _counts_rows(known):
@@ -168,7 +175,7 @@ def _clock(index: int, column: NamedColumn, values: Array, rate_hz: float | None
     if named is not None:
         return ClockColumn(index, named)
     known = values[~np.isnan(values)]
-    since = _epoch(index, float(np.median(known)))
+    since = _epoch(index, float(np.median(known)), float(np.median(np.diff(known))))
     if since is not None:
         return since
     if re.search(r"\bsecs?\b|\bseconds?\b", words):
@@ -181,13 +188,17 @@ def _clock(index: int, column: NamedColumn, values: Array, rate_hz: float | None
     return ClockColumn(index, "s", doubt="check: unit", unknown=whole)
 
 
-def _epoch(index: int, middle: float) -> ClockColumn | None:
-    """Return the clock of stamps that count from 1970 or 1601; None for others."""
+def _epoch(index: int, middle: float, step: float) -> ClockColumn | None:
+    """Return the clock of stamps that count from a date; None for others."""
     for unit, factor in _UNITS_OF_1970:
         if _FIRST_S * factor < middle < _LAST_S * factor:
             return ClockColumn(index, unit, doubt=f"check: {unit} since 1970")
     if _TICKS_OF_1601[0] < middle < _TICKS_OF_1601[1]:
         return ClockColumn(index, "s", 1e-7, doubt="check: 100 ns since 1601")
+    for days, words in ((_DAYS_OF_1900, "1900"), (_DAYS_OF_0, "year 0")):
+        # As seconds, such steps would be those of a radio.
+        if days[0] < middle < days[1] and 0.0 < step < _SHORTEST_STEP_S:
+            return ClockColumn(index, "d", doubt=f"check: days since {words}")
     return None
 
 

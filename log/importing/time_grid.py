@@ -24,6 +24,9 @@ LATE_SHARE = 0.01
 """
 _MIN_ROWS = 3
 _WINDOW_ROWS = 50
+_LEAST_REPEATS, _LEAST_REPEATED_SHARE = 5, 0.05
+"""Least number and share of rows with the time of the row before, if stamps are coarse; fewer are
+rows that were written twice."""
 _COARSE = 0.25
 """Resolution of stamps, in periods, above which steps between rows do not count periods."""
 _MOST_RESOLUTION = 2.0
@@ -109,7 +112,11 @@ def fit_grid(
     time_s = time_s - time_s[0]
     steps = np.diff(time_s)
     rough_s = _rough_period(time_s)
-    if stated_period_s is not None and _stated_fits(rough_s, stated_period_s, len(time_s)):
+    mean_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    if stated_period_s is not None and (
+        _stated_fits(rough_s, stated_period_s, len(time_s))
+        or _stated_fits(mean_s, stated_period_s, len(time_s))
+    ):
         rough_s = stated_period_s
     if rough_s > 0.0:
         resolution_s = max(resolution_s, _resolution(time_s, rough_s))
@@ -178,6 +185,8 @@ def _stated_fits(rough_s: float, stated_s: float, rows: int) -> bool:
 def _resolution(time_s: Array, period_s: float) -> float:
     """Return the largest step in s of which all stamps are multiples; 0 if it is negligible."""
     steps = np.diff(time_s)
+    equal = np.count_nonzero(steps == 0.0)
+    repeats = equal >= max(_LEAST_REPEATS, _LEAST_REPEATED_SHARE * len(steps))
     steps = np.unique(steps[steps > 1e-3 * period_s])
     if not len(steps):
         return 0.0
@@ -190,7 +199,7 @@ def _resolution(time_s: Array, period_s: float) -> float:
                 return 0.0
     multiples = time_s / step_s
     regular = np.abs(multiples - np.rint(multiples)).max() < 0.05
-    return step_s if regular and not _all_equal(steps, step_s) else 0.0
+    return step_s if regular and (repeats or not _all_equal(steps, step_s)) else 0.0
 
 
 def _all_equal(steps: Array, step_s: float) -> bool:

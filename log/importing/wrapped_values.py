@@ -21,9 +21,9 @@ _LEAST_JUMP = 0.6
 """Smallest jump of a wrapped signal over its range: it moves by less than that between two rows."""
 _NEAR = 0.02
 """Largest relative difference between the ranges that the jumps give."""
-_MOST_SHARE = 0.2
+_MOST_SHARE = 0.45
 """Largest share of rows with a jump."""
-_LEAST_VALUES = 12
+_LEAST_VALUES = 6
 """Least number of different values: a signal of few levels jumps by design."""
 _TURNS = 4.0
 """Most motion over a jump, in those of the rows around it."""
@@ -67,6 +67,7 @@ def find_wrap(values: Array) -> Wrap | None:
         return None
     steps, spread = np.diff(known), float(np.ptp(known))
     jumps = np.flatnonzero(np.abs(steps) > _LEAST_JUMP * spread)
+    jumps = jumps[(jumps > 0) & (jumps < len(steps) - 1)]  # a wrong value at an end jumps as well
     if not len(jumps) or len(jumps) > _MOST_SHARE * len(known):
         return None
     is_jump = np.zeros(len(steps), bool)
@@ -80,9 +81,17 @@ def find_wrap(values: Array) -> Wrap | None:
     if np.any(np.abs(ranges - estimate) > limit) or usual_error > 0.2 * estimate:
         return None
     error = float(np.max(np.abs(ranges - estimate)) + usual_error) + 1e-9 * estimate
-    if not _moves_on(sign * motion, rough, steps[~is_jump], estimate, spread):
-        return None
-    return Wrap(_usual_range(estimate, error, spread), estimate, error, at[jumps + 1])
+    usual = _usual_range(estimate, error, spread)
+    along = sign * motion
+    clear = np.abs(along) > rough
+    moves_on = bool(np.any(clear)) and np.mean(along[clear] > 0.0) >= _SAME_WAY
+    # A signal may also stay around the end of its range; only a usual range tells it from steps.
+    dithers = (
+        usual is not None
+        and 2 * np.count_nonzero(clear) < len(clear)
+        and _at_ends(rough, steps[~is_jump], estimate, spread)
+    )
+    return Wrap(usual, estimate, error, at[jumps + 1]) if moves_on or dithers else None
 
 
 def _motion(
@@ -99,17 +108,12 @@ def _motion(
     return motion, rough
 
 
-def _moves_on(along: Array, rough: Array, others: Array, estimate: float, spread: float) -> bool:
-    """Return whether the signal moves on across its jumps, or dithers at the end of its range.
-
-    along (n,): motion around a jump, positive against the direction of the jump.
-    """
-    clear = np.abs(along) > rough
-    if np.any(clear):
-        return bool(np.mean(along[clear] > 0.0) >= _SAME_WAY)
-    # At rest at the end of its range, a counter jumps from its lowest to its highest value.
-    smallest = np.abs(others[others != 0.0])
-    return bool(len(smallest)) and abs(estimate - spread) <= 2.0 * float(smallest.min())
+def _at_ends(rough: Array, others: Array, estimate: float, spread: float) -> bool:
+    """Return whether a signal jumps from its lowest to its highest value, but for its noise."""
+    moved = np.abs(others[others != 0.0])
+    if not len(moved):
+        return False
+    return abs(estimate - spread) <= _TURNS * float(np.median(moved) + np.median(rough))
 
 
 def _usual_range(estimate: float, error: float, spread: float) -> float | None:

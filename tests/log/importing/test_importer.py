@@ -41,6 +41,7 @@ M: [[m]]
 D: [[0]]
 K: [[1]]
 """
+THOUSANDS = 'thousands: "."\n'
 GOOD = [[1.0, -2.0], [0.5, 3e-3], [-1e3, 0.25]]
 
 
@@ -75,6 +76,13 @@ def columns_of(log):
         ("a.dat", "  1  -2 \n\n .5\t3e-3\n-1e3 .25\n", BY_NUMBER),
         ("a.txt", "% by hand\nV1 V2\n1 -2\n# pause\n.5 3e-3\n-1e3 .25\n", BY_NAME),
         ("a.log", "1 -2\n.5 3e-3\n-1e3 .25\n", "format: text\n" + BY_NUMBER),
+        ("a.any", "1 -2\n.5 3e-3\n-1e3 .25\n", BY_NUMBER),
+        ("a.csv", "V1;V2\n1;\u22122\n0,5;3e-3\n\u20131.000;0,25\n", THOUSANDS + BY_NAME),
+        ("a.csv", "V1;V2\n1;-2\n0,5;3E-3\n-1\u202f000,0;0,25\n", BY_NAME),
+        ("a.csv", "V1;V2\n1;-2\n.5;3D-3\n-1'000;.25\n", BY_NAME),
+        ("a.csv", "V1 ;V2\u00a0\n1;-2\n.5;3e-3\n-1e3;.25\n", BY_NAME),
+        ("a.csv", "V1;V2\n1 V;-2 V\n500 mV;3e-3 V\n-1e3 V;.25 V\n", BY_NAME),
+        ("a.csv", "Log 7\nV1;V2\nV;V\n1;-2\nV1;V2\n# 2nd\n.5;3e-3\nstop\n-1e3;.25\nEOF\n", BY_NAME),
     ],
 )
 def test_text_formats_are_imported(tmp_path, name, text, columns):
@@ -200,13 +208,23 @@ def test_npz_and_mat_arrays_are_imported(tmp_path, name, data, columns):
         ("\0\1,\2\n", BY_NUMBER, "data.csv: "),
         ("V1,V2\n1,5,2,5\n", BY_NAME, "if commas are decimal commas, separate the columns by"),
         ("V1;V2\n1.5;2\n1,5;2\n", BY_NAME, "line 3, column 'V1': expected decimal points or dec"),
-        ("V1;V2\n1.234,5;2\n1,5;2\n", BY_NAME, "'1.234,5'; remove the separators of thousands"),
-        ('V1,V2,n\n1,2,ok\n3,4,"bad\n5,6,ok\n', BY_NAME, "cannot be read: unexpected end of data"),
-        ("1,2\n3e300,4\n", "rate_hz: 1e-12\n" + BY_NUMBER, "expected 2 samples to last at most"),
+        ("V1;V2\n1.234,5;2\n1,5;2\n", BY_NAME, "found '1.234,5'; set thousands: \".\" in the"),
         (
-            "1,2\n3e300,4\n",
+            "V1;V2\n1.234;2\n2.345;2\n",
+            BY_NAME,
+            "'1.234': 1.234 or 1234; set decimal: \".\" or thou",
+        ),
+        ("V1;V2\n1.234;2\n0,5;2\n", BY_NAME, "1234, as other numbers have another sign; set thou"),
+        ('V1,V2\n"1,234",0.5\n', BY_NAME, "'1,234': 1234, as other numbers have another sign"),
+        ("V1;V2\n1.5;2\n3\u0417.4;2\n", BY_NAME, "is cyrillic capital letter ze"),
+        ("V\u0445;V2\n1.5;2\n", BY_NAME.replace("V1", "Vx"), "is cyrillic small letter ha"),
+        ("V1;V2\n1.5;2\nlost;2\n", BY_NAME, "list it in the signals file: missing: ['lost']"),
+        ('V1,V2,n\n1,2,ok\n3,4,"bad\n5,6,ok\n', BY_NAME, "cannot be read: unexpected end of data"),
+        ("1,2\n3e20,4\n", "rate_hz: 1e-12\n" + BY_NUMBER, "expected 2 samples to last at most"),
+        (
+            "1,2\n3e20,4\n",
             BY_NUMBER.replace("0,", "0, scale: 1e300,"),
-            "row 1: expected a number that stays finite with scale 1e+300, found 3e+300",
+            "row 1: expected a number that stays finite with scale 1e+300, found 3e+20",
         ),
     ],
 )
@@ -230,7 +248,7 @@ def test_invalid_table_is_reported_with_line_and_column(tmp_path, text, columns,
         ("a.npz", npz(V1=U + 1j, V2=Y), BY_NAME, "expected real numbers, found complex numbers"),
         ("a.npz", npz(V1=U, V2=np.array([1.0, np.inf, 0.0])), BY_NAME, "(missing: row 1)"),
         ("a.npz", npz(V1=U), BY_NUMBER, "column 0: expected a variable's name; a number"),
-        ("a.npz", npz(V1=np.array([{}]), V2=Y), BY_NAME, "expected real numbers, found object"),
+        ("a.npz", npz(V1=np.array([{}]), V2=Y), BY_NAME, "found a cell array or objects"),
         ("a.npz", "no zip", BY_NAME, "not a usable NPZ file"),
         ("a.mat", "no mat", BY_NAME, "not a usable MAT file"),
         ("a.mat", mat(S={"u": U}), BY_NAME.replace("V1", "S.v"), "no such variable; there is u"),
@@ -251,7 +269,12 @@ def test_invalid_table_is_reported_with_line_and_column(tmp_path, text, columns,
             "found shape (2, 9) with samples along rows; ",
         ),
         ("a.npz", npz(D=np.ones((2, 9))), BY_NUMBER, "set samples: columns"),
-        ("a.xls", "1,2\n", BY_NUMBER, "expected one of .csv, .txt, .dat"),
+        (
+            "a.xls",
+            lambda path: path.write_bytes(bytes(100)),
+            BY_NUMBER,
+            "expected a text file, or one of .csv, .txt",
+        ),
     ],
 )
 def test_invalid_array_is_reported_with_its_name(tmp_path, name, data, columns, expected_error):

@@ -9,6 +9,7 @@ import pytest
 
 from levid.log.errors import LogError
 from levid.log.importing.delimited_text import read_delimited
+from levid.log.importing.recording_rate import stated_rate
 from levid.log.importing.signals_yaml import SignalsFile
 from levid.log.importing.text_layout import text_layout
 
@@ -129,3 +130,25 @@ def test_empty_and_infinite_cells_are_missing_values(tmp_path):
     path.write_text("t,y\n0,\n1,NaN\n2,n/a\n3,-inf\n4,5\n")
     (y,) = read(path, ("y", "other")).values
     assert np.isnan(y).tolist() == [True, True, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("head", "names", "rate"),
+    [
+        ("F sensor,,x sensor\nF,t,x\nNewton,seconds,mm\n", ["F", "t", "x"], None),
+        ("t,u,y\nREAL,REAL,REAL\ns,V,mm\n", ["t", "u", "y"], None),
+        ("Model,D7,\nSample Interval,2e-3,s\nOffset,0,0\nt,u,y\n", ["t", "u", "y"], 500.0),
+        ("Sampling Rate: 0.25 kHz\n\nt,u,y\n", ["t", "u", "y"], 250.0),
+        ("# fs = 100\n# t,u,y\n", ["t", "u", "y"], 100.0),
+        ("dt[ms],5,\nTitle\n", None, 200.0),
+        ("17,0.25\nt,u,y\n", ["t", "u", "y"], None),
+        ("Rate,10,\nRate,20,\nt,u,y\n", ["t", "u", "y"], None),
+    ],
+)
+def test_header_and_stated_rate_are_found_above_the_table(head, names, rate):
+    found = layout(head + ROWS * 4)
+    assert found.width == 3
+    assert found.numeric == (0, 1, 2)
+    assert (found.cells and [cell.name for cell in found.cells]) == names
+    stated = stated_rate(found.entries)
+    assert (stated and stated[1]) == (None if rate is None else pytest.approx(rate))

@@ -81,3 +81,41 @@ def test_times_that_do_not_increase_are_reported(time_s, expected_error):
     with pytest.raises(LogError) as caught:
         grid(time_s)
     assert expected_error in str(caught.value)
+
+
+@pytest.mark.parametrize(("start_s", "rate_hz"), [(10_800.0, 1000.0), (86_400.0, 100.0)])
+def test_stamps_in_32_bit_give_the_rate_of_the_whole_record(start_s, rate_hz):
+    time_s = (start_s + np.arange(20_000) / rate_hz).astype(np.float32).astype(float)
+    found = grid(time_s)
+    assert 1.0 / found.period_s == pytest.approx(rate_hz, rel=1e-6)
+    (part,) = found.parts
+    np.testing.assert_array_equal(part.place, np.arange(20_000))
+    assert found.notes() == [
+        f"time stamps are rounded to {found.resolution_s:g} s, which is accepted"
+    ]
+
+
+def test_missing_rows_between_coarse_stamps_are_found():
+    kept = np.delete(np.arange(20_000), [5000, 12_000])
+    time_s = (10_800.0 + kept * 1e-3).astype(np.float32).astype(float)
+    found = grid(time_s)
+    assert 1.0 / found.period_s == pytest.approx(1000.0, rel=1e-4)
+    (part,) = found.parts
+    # Where a row is missing is known within about 30 rows: the stamps are rounded to a period.
+    wrong = np.flatnonzero(part.place != kept)
+    assert len(wrong) < 100
+
+
+def test_ticks_of_a_system_timer_are_accepted():
+    # Windows counts in 1/64 s; a logger with 10 ms reads equal stamps.
+    time_s = np.floor(np.arange(3000) * 0.010 * 64) / 64
+    found = grid(time_s)
+    assert 1.0 / found.period_s == pytest.approx(100.0, rel=1e-3)
+    np.testing.assert_array_equal(found.parts[0].place, np.arange(3000))
+
+
+def test_stated_rate_decides_between_grids_that_the_stamps_allow():
+    time_s = np.floor(np.arange(3000) * 1e-3 / 0.1) * 0.1  # stamps of blocks of 100 rows
+    found = fit_grid("t", time_s, np.arange(3000), 1e-3)
+    assert found.period_s == pytest.approx(1e-3, rel=1e-3)
+    np.testing.assert_array_equal(found.parts[0].place, np.arange(3000))

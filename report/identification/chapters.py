@@ -67,7 +67,8 @@ def identification_chapters(
 ) -> list[Chapter]:
     """Return a chapter for each method, the recommended one first.
 
-    It is the fitted model if it leaves no more than noise, or no more than the black-box model;
+    It is the fitted model if it leaves no more than noise, or no more than the black-box model, or
+    says that columns seem wrong;
     else the first reliable one of subspace, Ho-Kalman, multisines and open loop. Without a reliable
     model the first chapter says so.
 
@@ -94,6 +95,8 @@ def identification_chapters(
     for number, point in enumerate(others, start=1):
         chapters.append(_open_loop_chapter(point, signals, truth, number))
     doubted = [c for c in chapters if c.doubted]
+    if grey is not None and grey.columns:
+        return chapters  # columns that seem wrong are wrong for every model
     best = next((c for c in chapters if c.reliable), (doubted or chapters)[0])
     return [best, *(c for c in chapters if c is not best)]
 

@@ -150,7 +150,7 @@ def _with_column_hint(grey: GreyBox, logs: Sequence[Path], model: ModelConfig) -
     """
     if any(p.experiment.correlations is not None for p in grey.fit.predictions):
         return grey  # the rig's own logs have no columns to exchange
-    if is_white(grey.fit):
+    if is_white(grey.fit) and not grey.explains_nothing:
         return grey
     try:
         exchange = column_hint(logs, model)

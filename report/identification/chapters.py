@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...identification.greybox.compare_with_black_box import compare_with_black_box
+from ...identification.compare_with_black_box import compare_with_black_box
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
 from ...identification.results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint

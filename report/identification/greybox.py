@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...identification.greybox.compare_with_black_box import BesideBlackBox
+from ...identification.compare_with_black_box import BesideBlackBox
 from ...identification.greybox.fitted_modes import fitted_modes
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.greybox.validation import Validation

@@ -34,6 +34,8 @@ Complex = NDArray[np.complex128]
 VALUES_A_NUMBER = 10
 """Least measured values for each free number. With ten, the mean square error on new data exceeds
 that of the fit by (1 + 1/10) / (1 - 1/10) = 1.22 (Akaike's final prediction error)."""
+FEW_STEPS = 4
+"""Number of steps from which some can be fitted and others validate."""
 TIME_CONSTANTS = 3.0
 """Least record length in time constants of a mode: its response has then decayed to 5 %."""
 FORCE_SHARE = 0.01
@@ -111,7 +113,7 @@ def _of_inputs(training: Sequence[Record], options: Options) -> Iterator[str]:
                 f"function: a black-box model above order {waves} fits noise between these "
                 "frequencies. Excite more frequencies by noise, a sweep or a multisine"
             )
-        elif found.kind == "steps":
+        elif found.kind == "steps" and waves < FEW_STEPS:
             yield (
                 f"input {name} consists of {waves} step{'s' * (waves > 1)}: it excites low "
                 "frequencies most, and every step gives one response to fit or to validate. For "

@@ -126,7 +126,8 @@ def study(
                 lambda what, share: report(f"fit, {what}", 0.5 + 0.5 * share),
             )
             notes += _effects_note(model)
-            grey = _with_column_hint(grey, logs, model)
+            if all(e.correlations is None for e in found.experiments):
+                grey = _with_column_hint(grey, logs, model)  # the rig's logs have fixed columns
         except (IdentificationError, np.linalg.LinAlgError) as error:
             reason = _in_words(error)
             if points is None and not multisine:
@@ -152,9 +153,7 @@ def _with_column_hint(grey: GreyBox, logs: Sequence[Path], model: ModelConfig) -
 
     A fit of wrong columns may drift, and then seems to need a loop: that remark leads astray.
     """
-    if any(p.experiment.correlations is not None for p in grey.fit.predictions):
-        return grey  # the rig's own logs have no columns to exchange
-    if is_white(grey.fit):
+    if is_white(grey.fit) and not grey.explains_nothing:
         return grey
     try:
         exchange = column_hint(logs, model)

@@ -32,6 +32,8 @@ Complex = NDArray[np.complex128]
 
 DECLARE_LOOP = "Declare the loop in the signals file"
 """Remedy of a remark on a model that drifts."""
+_NOTHING = 100.0
+"""Error over the output in per cent, from which a simulation of zeros is as good."""
 _NEAR = 0.5
 """Error of a simulation over the output's standard deviation up to which it is an instrument."""
 _WHITE = 1e-3
@@ -58,6 +60,16 @@ class GreyBox:
     remarks: tuple[str, ...] = ()
     balance: ForceBalance | None = None
     columns: str = ""
+
+    @property
+    def explains_nothing(self) -> bool:
+        """Whether the errors on held-out rows are as large as the outputs, or no parameter fits.
+
+        A noise that is estimated as large as the motion leaves white errors for any model.
+        """
+        errors = np.concatenate([v.error_percent for v in self.validations] or [np.zeros(0)])
+        known = errors[np.isfinite(errors)]
+        return not self.fit.free or bool(len(known) and np.all(known >= _NOTHING))
 
     def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
         """Return the response (F, n, p) from command to output at freq_hz (F,) in Hz, with delay.

@@ -42,6 +42,8 @@ _ROWS_A_TAP = 10
 _MOST_ROWS = 12_000
 _EXACT = 1e-4
 """Share of what is new in an output, beside the same row's input, that counts as rounding."""
+_ROUNDING = 1e-18
+"""Share of an output's variance that counts as rounding of its computation."""
 _HALF = 0.5
 _HELD = 0.5
 """Share of rows in which an input does not change, from which it is a sequence of steps."""
@@ -200,7 +202,10 @@ def _dependence(
         new, tried = beside, lags
     else:
         tried = p + lags
-    least = np.maximum(least, np.finfo(float).tiny)
+    told_apart = new > _ROUNDING * len(stacked)
+    if not np.any(told_apart):  # outputs without noise follow from the past
+        return 0.0, 1.0
+    new, least = new[told_apart], np.maximum(least[told_apart], np.finfo(float).tiny)
     new = np.maximum(new, least)
     statistic = (new - least) / tried / (least / (len(stacked) - told))
     chance = m * f_distribution.sf(statistic, tried, len(stacked) - told)

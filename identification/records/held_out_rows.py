@@ -23,12 +23,12 @@ _RESTS = 0.02
 _NOISE = 4.0
 """Variance of a block over that of most blocks, from which it moves if most of them are noise. The
 ratio of the variances of 10 rows of noise exceeds it with 3 % probability, of 25 rows hardly."""
-_EVENT = 10.0
+_EVENT = 30.0
 """Variance of the loudest block over that of most, from which most of them are noise. Random motion
-of a resonance reaches five."""
+of a resonance reaches ten."""
 _HALF = 0.5
-_LEAST = 0.2
-"""Least share of the rows that is fitted."""
+_LEAST, _FITTED_ROWS = 0.05, 60
+"""Least share of the rows that is fitted, and the least number."""
 _INPUT_CHANGES = 0.01
 """Range of an input in the held-out rows, over that of the record, from which it drives them."""
 
@@ -68,29 +68,31 @@ class HeldOut:
 def held_out_rows(y: Array, u: Array, share: float) -> HeldOut:
     """Return where the held-out rows of a record begin.
 
-    y (N, m), u (N, p): outputs and inputs. share: of the blocks of time in which an output moves;
-    it is the share of the rows if the outputs move in half of the last rows.
+    y (N, m), u (N, p): outputs and inputs. share: of the blocks of time in which a signal moves;
+    it is the share of the rows if one moves in half of the last rows.
     """
     rows = len(y)
     plain = rows - round(share * rows)
     blocks = block_count(rows)
     if share <= 0.0 or not blocks:
         return HeldOut(plain, rows, True, True)
-    moving = moving_blocks(y, blocks)
+    signals = np.hstack([y, u])
+    moving = moving_blocks(signals, blocks)
     while 0 < np.count_nonzero(moving) < _EVENT_BLOCKS and blocks * _FINER <= rows // _ROWS_A_BLOCK:
         blocks *= _FINER  # resolve a short event
-        moving = moving_blocks(y, blocks)
+        moving = moving_blocks(signals, blocks)
     ends = np.cumsum([len(part) for part in np.array_split(np.arange(rows), blocks)])
     behind = ends > plain
     start, stop, event = plain, rows, bool(np.any(moving) and np.mean(moving[behind]) < _HALF)
     if event:
         numbers = np.flatnonzero(moving)
         fitted = numbers[: max(round((1.0 - share) * len(numbers)), 1)]
-        start = max(int(ends[fitted[-1]]), round(_LEAST * rows))
+        start = max(int(ends[fitted[-1]]), round(_LEAST * rows), _FITTED_ROWS)
+        start = min(start, rows - _FEWEST_ROWS // 2)
         stop = min(max(int(ends[numbers[-1]]), start + _FEWEST_ROWS), rows)
     held = (ends > start) & (ends <= stop)
     changes = np.ptp(u[start:stop], axis=0) > _INPUT_CHANGES * np.ptp(u, axis=0)
-    moves = bool(np.any(moving[held]))
+    moves = bool(np.any(moving_blocks(y, blocks)[held]))
     return HeldOut(start, stop, moves, bool(np.any(changes)), event)
 
 

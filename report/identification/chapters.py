@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ...config.command_line import command_line
-from ...identification.greybox.compare_with_black_box import compare_with_black_box
+from ...identification.compare_with_black_box import compare_with_black_box
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
 from ...identification.results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
@@ -81,7 +81,8 @@ def identification_chapters(
 ) -> list[Chapter]:
     """Return a chapter for each method, the recommended one first.
 
-    It is the fitted model if it leaves no more than noise, or no more than the black-box model;
+    It is the fitted model if it leaves no more than noise, or no more than the black-box model, or
+    says that columns seem wrong;
     else the first reliable one of subspace, Ho-Kalman, multisines and open loop. Without a reliable
     model the first chapter says so.
 
@@ -109,6 +110,8 @@ def identification_chapters(
     for number, point in enumerate(others, start=1):
         chapters.append(_open_loop_chapter(point, signals, truth, number, commands))
     doubted = [c for c in chapters if c.doubted]
+    if grey is not None and grey.columns:
+        return chapters  # columns that seem wrong are wrong for every model
     best = next((c for c in chapters if c.reliable), (doubted or chapters)[0])
     return [best, *(c for c in chapters if c is not best)]
 
@@ -270,7 +273,8 @@ def _grey_box_chapter(
     report = grey_box_report(grey, points, signals, truth)
     beside = compare_with_black_box(grey, others)
     unexcited = any(origin.unexcited for p in others for origin in p.origins)
-    as_good = beside is not None and beside.as_good and not grey.columns
+    as_good = beside is not None and beside.as_good
+    as_good = as_good and not (grey.columns or grey.explains_nothing)
     reliable = not unexcited and (report.explains or as_good)
     return Chapter(
         "Fitted model",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...identification.greybox.compare_with_black_box import BesideBlackBox
+from ...identification.compare_with_black_box import BesideBlackBox
 from ...identification.greybox.fitted_modes import fitted_modes
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.greybox.validation import Validation
@@ -52,6 +52,8 @@ class GreyBoxReport:
     @property
     def explains(self) -> bool:
         """Whether the fitted model leaves no more than noise, as far as these records show."""
+        if self.grey.explains_nothing:
+            return False
         least, tests = least_chance(self)
         white = not tests or not least * tests < NOT_WHITE
         return white and (self.worst is None or self.worst.over_noise <= NOISE_MOST)
@@ -215,11 +217,17 @@ def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None)
         found = (
             f"Use the fitted model '{name}': it explains these records down to the noise{error}."
         )
-    elif not report.grey.columns and beside is not None and beside.as_good:
+    elif beside is not None and beside.as_good and not _excluded(report.grey):
         found = (
             f"Use the fitted model '{name}': on held-out rows it explains as much as the black-box "
             f"model{_errors_beside(report, beside)}. It does not explain them down to the "
             f"noise{error}, so the plant has an effect that both models lack."
+        )
+    elif report.grey.explains_nothing and not report.grey.columns:
+        found = (
+            f"The fitted model '{name}' explains nothing of these records: its error on held-out "
+            "rows is as large as the outputs, or they determine none of its parameters. Check the "
+            "order, signs and units of the columns, the model file, and the excitation."
         )
     elif report.grey.columns:
         found = (
@@ -233,6 +241,10 @@ def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None)
             "effect that the model lacks."
         )
     return f"{found}{bounds}{natural}"
+
+
+def _excluded(grey: GreyBox) -> bool:
+    return bool(grey.columns) or grey.explains_nothing
 
 
 def at_bound_sentences(grey: GreyBox) -> tuple[str, ...]:

@@ -71,6 +71,13 @@ def explaining_unit(
     left = [float(missing_share(plain.at(p)).max()) for p in far]
     alike = [p for p, x in zip(far, left, strict=True) if x < min(left) + options.least_force]
     point = min(alike, key=distance_from_declared)
+    in_proportion = [
+        p
+        for p in _in_proportion(point)
+        if float(missing_share(plain.at(p)).max()) < min(left) + options.least_force
+        and _ratio(p.placed[-1]) > 2.0
+    ]
+    point = min([point, *in_proportion], key=distance_from_declared)
     return Exchange(_words(point.placed[-1]), before, missing_share(plain.at(point)))
 
 
@@ -95,6 +102,22 @@ def _fitted_opposites(
     fitted = opposite_gain(point, own, others[0], training) if len(others) == 1 else None
     if fitted is not None:
         yield fitted
+
+
+def _in_proportion(point: ForceModel) -> Iterator[ForceModel]:
+    """Yield models with the parameters in proportion nearer to the declared ones, and the gain.
+
+    If all parameters are free, records only determine their ratios to the gain.
+    """
+    declared, gain = point.parameters.prior_mean, point.placed[-1]
+    if np.any(point.values * declared <= 0.0):
+        return
+    grown = float(np.exp(np.mean(np.log(declared / point.values))))
+    sign, factor = FACTOR_LESS_ONE[gain.effect.key], column_factor(gain)
+    values = np.clip(grown * point.values, point.parameters.low, point.parameters.high)
+    for changed in (factor * grown, factor / grown):
+        placed = (*point.placed[:-1], Placed(gain.effect, (), (sign * (changed - 1.0),)))
+        yield replace(point, placed=placed).with_values(values)
 
 
 def _ratio(gain: Placed) -> float:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..results import OpenLoopPoint
-from ..subspace.held_out_simulation import HoldOut
-from .identify_greybox import GreyBox
-from .validation import Validation
+from .greybox.identify_greybox import GreyBox
+from .greybox.validation import Validation
+from .results import OpenLoopPoint
+from .subspace.held_out_simulation import HoldOut
 
 Array = NDArray[np.float64]
 

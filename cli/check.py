@@ -314,9 +314,11 @@ def _session(config: SessionConfig, path: Path, rig_path: Path | None) -> str:
         problems = session_problems(config, rig, plan, report)
     _report(problems, f"{path}: on rig {rig.name}")
     records = sum(step.kind == "record" for step in plan.steps)
+    untraced = "trace" in config.then and rig.model is None
     return (
         f"session, {len(plan.steps)} steps, {records} record{'s' * (records != 1)}, "
         f"{plan.cycles / plan.rate_hz:.0f} s at {plan.rate_hz:g} Hz"
+        + ("; then: trace needs a model, and the rig names none" if untraced else "")
     )
 
 

@@ -20,7 +20,7 @@ from .path_types import FOLDER, RIG
 def command(rig: Path, out: Path) -> int:
     """Write foxglove.json and plotjuggler.xml, layouts with the coils and sensors of RIG.yaml.
 
-    They show the live stream and logs. Layouts for nine coils and sensors are in config/layouts.
+    They show the live stream and logs.
 
     \b
     Examples:

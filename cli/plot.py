@@ -54,7 +54,7 @@ def command(
       levid plot out/first/02-left-psi.mcap
       levid plot out/first/02-left-psi.mcap pose gap_m_0 -o psi.png --begin-s 10 --end-s 12
       levid plot out/first/02-left-psi.mcap pose --spectrum -o psi.pdf
-      levid plot out/monday/02-left-psi.mcap out/friday/02-left-psi.mcap gap_m_0 --spectrum -o both.svg
+      levid plot out/monday/02-left-psi.mcap out/friday/02-left-psi.mcap gap_m_0 --spectrum
     """
     from ..report.logs.signal_figure import check_format, save_figure
 

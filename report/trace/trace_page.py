@@ -188,8 +188,8 @@ def _shaken(force: RandomForce) -> str:
     rms = with_interval(EffectParameter(value=s.rms, se=s.se, unit=force.unit))
     return (
         f"{force.name}: {rms} RMS (95 %). The missing force is the same in records with and "
-        f"without excitation ({s.statistic:.0f} standard errors on held-out data). It is no part of the model, "
-        "and its error remains: look for a source of vibration or wind."
+        f"without excitation ({s.statistic:.0f} standard errors on held-out data). It is no part"
+        " of the model, and its error remains: look for a source of vibration or wind."
     )
 
 

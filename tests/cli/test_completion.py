@@ -103,7 +103,6 @@ def test_shipped_names_are_offered_by_kind(folder: Path) -> None:
     assert values(folder, "excite", "be") == ["beam"]
     assert values(folder, "excite", "beam", "--sim", "u") == ["undeclared"]
     assert values(folder, "check", "lo") == ["loopback"]
-    assert values(folder, "identify", "be") == []
 
 
 def test_zsh_and_fish_get_summaries(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from effect_test_helpers import rig_places
+from in_memory_log import cycle_log
 from mass_on_spring_logs import MASS as CONFIG
 from mass_on_spring_logs import SIGNALS, imported
 
 from levid.config.base import parse_text
-from levid.config.model import ModelConfig
+from levid.config.model import ModelConfig, load_model
+from levid.config.shipped import shipped
 from levid.identification.records.record import IdentificationError
 from levid.identification.trace.records.check_common_session_time import (
     overlap,
@@ -26,6 +29,7 @@ from levid.identification.trace.records.sensor_and_amplifier_noise import requir
 from levid.identification.trace.run_trace import Trace, trace
 from levid.identification.trace.worker_pool import Alone
 from levid.log.reader import read_log
+from levid.log.signals import cycle_dtype
 from levid.model.effects.base import Placed
 from levid.model.effects.candidate_effects import all_effects
 from levid.model.effects.freeform import freeform_effects
@@ -231,3 +235,20 @@ def test_outputs_of_different_units_or_noise_are_rejected(
         return
     with pytest.raises(IdentificationError, match=r"in one unit and with similar noise.*x_m"):
         require_noise([record])
+
+
+def test_a_rig_with_as_many_sensors_as_dof_has_readings_of_one_kind() -> None:
+    """Its pose is in rad and m, but its sensors all read m."""
+    rng, n = np.random.default_rng(1), 4000
+    rows = np.zeros(n, cycle_dtype(3, 3))
+    rows["cycle"], rows["time_s"] = np.arange(n), 1e-3 * np.arange(n)
+    rows["gap_m"] = rng.normal(0.0, 1e-7, (n, 3))
+    rows["coil_n"] = rng.normal(20.0, 0.1, (n, 3))
+    text = shipped("rigs/loopback.yaml").read_text()
+    x, y = [0.1, -0.05, -0.05], [0.0, 0.0866, -0.0866]
+    text = re.sub(r"coil_x_m: .*", f"coil_x_m: {x}", text)
+    text = re.sub(r"coil_y_m: .*", f"coil_y_m: {y}", text)
+    log = cycle_log("01-still.mcap", rows, attachments={"rig.yaml": text.encode()})
+    record = trace_record(log, load_model(shipped("models/rig.yaml")))
+    assert record.places.sensors == len(record.places.dof) == 3
+    require_noise([record])

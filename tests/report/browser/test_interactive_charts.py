@@ -295,15 +295,18 @@ def box_and_plot(page: Page, figure: str, panel: int) -> tuple[list[float], list
     box, over, pixels = page.value(
         f"""(() => {{
         const root = document.querySelectorAll('#figure-{figure} .plot')[{panel}];
-        const place = e => {{ const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; }};
+        const place = e => {{
+          const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; }};
         const box = root.querySelector('.readout'), over = root.querySelector('.u-over');
         if (box.hidden) return [[], place(over), 0];
-        const canvas = root.querySelector('canvas'), c = place(canvas), b = place(box), o = place(over);
+        const canvas = root.querySelector('canvas');
+        const c = place(canvas), b = place(box), o = place(over);
         const k = canvas.width / (c[2] - c[0]);
         const x0 = Math.max(b[0], o[0]), y0 = Math.max(b[1], o[1]);
         const w = Math.min(b[2], o[2]) - x0, h = Math.min(b[3], o[3]) - y0;
         if (w < 1 || h < 1) return [b, o, 0];
-        const d = canvas.getContext('2d').getImageData((x0 - c[0]) * k, (y0 - c[1]) * k, w * k, h * k).data;
+        const part = [(x0 - c[0]) * k, (y0 - c[1]) * k, w * k, h * k];
+        const d = canvas.getContext('2d').getImageData(...part).data;
         let found = 0;
         for (let i = 0; i < d.length; i += 4)
           found += Math.max(d[i], d[i + 1], d[i + 2]) - Math.min(d[i], d[i + 1], d[i + 2]) > 90;

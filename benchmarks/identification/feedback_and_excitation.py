@@ -21,7 +21,6 @@ from levid.identification.nonparametric.feedback_test import (
     InputOrigin,
     input_origins,
 )
-from levid.identification.records.reading_spikes import without_spikes
 from levid.identification.records.record import Record
 
 ROWS = 2000
@@ -92,30 +91,11 @@ def measure(quick: bool) -> Iterator[Figure]:
             f"excited_{name}", 100.0 * np.mean(alarms), "%",
             f"false alarms, loop excited by {name}", None, NONE,
         )  # fmt: skip
-    yield from _spikes(seeds)
 
 
 def _fed_back(origin: InputOrigin) -> bool:
     return origin.fed_back
 
 
-def _spikes(seeds: range) -> Iterator[Figure]:
-    """Yield how many spikes are found, and how many rows of clean records are taken for spikes."""
-    hits, wrong = [], 0
-    for s in seeds:
-        for u in inputs(s).values():
-            record = loop(s).record(ROWS, s, given=u)
-            y = record.y[:, 0]
-            wrong += len(without_spikes(y, record.v).rows)
-            row = int(np.random.default_rng(s).integers(10, ROWS - 10))
-            bad = y.copy()
-            bad[row] += 100.0 * y.std()
-            hits.append(without_spikes(bad, record.v).rows == (row,))
-    yield Figure("spikes", 100.0 * np.mean(hits), "%", "spikes that are found", None, ALL)
-    yield Figure(
-        "clean_rows", float(wrong), "", "rows of clean records taken for spikes", None, NONE
-    )
-
-
 if __name__ == "__main__":
-    run("Feedback, excitation and spikes", measure)
+    run("Feedback and excitation", measure)

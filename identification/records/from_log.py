@@ -17,7 +17,6 @@ from ...log.importing.importer import REMARKS
 from ...log.importing.signals_yaml import Column, SignalsFile
 from ...log.reader import Log
 from ...model.geometry import shape_matrix
-from .reading_spikes import without_spikes
 from .record import (
     BEAM_POSITION_TOLERANCE_M,
     OTHER_STEP,
@@ -168,8 +167,6 @@ def truncation_remarks(log: Log) -> list[str]:
 def imported_record(log: Log) -> Record:
     """Return inputs and outputs of an imported log, without its operating point.
 
-    Single readings that stand out of their neighbours are interpolated, with a remark.
-
     Raises IdentificationError for an invalid signals.yaml or missing columns.
     """
     signals = attached(log, "signals.yaml", SignalsFile)
@@ -180,25 +177,18 @@ def imported_record(log: Log) -> Record:
                 f"{log.path}: signals.yaml: expected a column of role {role}, found none"
             )
     _require(log, [c.name for c in (*inputs, *outputs, *signals.with_role("scheduling"))])
-    v, y = (columns(log, [c.name for c in each]) for each in (inputs, outputs))
-    spikes = [without_spikes(column, v) for column in y.T]
-    named = [s.remark(c.name, 1.0 / log.rate_hz) for s, c in zip(spikes, outputs, strict=True)]
     return Record(
         name=log.metadata.get("name") or log.path.stem,
         Ts_s=1.0 / log.rate_hz,
-        v=v,
-        y=np.column_stack([s.values for s in spikes]),
+        v=columns(log, [c.name for c in inputs]),
+        y=columns(log, [c.name for c in outputs]),
         input_names=tuple(c.name for c in inputs),
         input_units=tuple(c.unit for c in inputs),
         output_names=tuple(c.name for c in outputs),
         output_units=tuple(c.unit for c in outputs),
         feedback=signals.loop is not None,
         held=signals.input_hold == "zoh",
-        remarks=(
-            *truncation_remarks(log),
-            *_import_remarks(log, (*inputs, *outputs)),
-            *(text for text in named if text is not None),
-        ),
+        remarks=(*truncation_remarks(log), *_import_remarks(log, (*inputs, *outputs))),
     )
 
 

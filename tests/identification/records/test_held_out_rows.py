@@ -8,7 +8,6 @@ from loops_under_noise import Loop, multisine, steps
 
 from levid.identification.records.excitation_kind import excitations
 from levid.identification.records.held_out_rows import held_out_rows
-from levid.identification.records.reading_spikes import without_spikes
 from levid.identification.records.record import Record
 
 ROWS = 2000
@@ -75,39 +74,3 @@ def test_output_that_rests_cannot_validate() -> None:
 )
 def test_excitation_is_called_by_its_kind(kind: str, u: np.ndarray) -> None:
     assert excitations([record(u)])[0].kind == kind
-
-
-@pytest.mark.parametrize("size", [0.5, -3.0, 1e30])
-@pytest.mark.parametrize("length", [1, 2, 3])
-def test_spike_is_interpolated_and_reported(size: float, length: int) -> None:
-    r = record(np.random.default_rng(1).normal(size=ROWS))
-    bad = r.y[:, 0].copy()
-    bad[700 : 700 + length] = size
-    found = without_spikes(bad, r.v)
-    assert found.rows == tuple(range(700, 700 + length))
-    assert np.abs(found.values - r.y[:, 0]).max() < 0.1 * r.y.std()
-    remark = found.remark("x_m", 0.01)
-    assert remark is not None
-    assert "700 (7 s)" in remark
-
-
-@pytest.mark.parametrize(
-    "y",
-    [
-        steps(ROWS, 50, 1),
-        np.round(np.random.default_rng(4).normal(size=ROWS)),
-        np.r_[np.zeros(1000), np.random.default_rng(5).normal(size=1000)],
-        np.cumsum(np.random.default_rng(6).normal(size=ROWS)),
-        np.random.default_rng(7).standard_t(5, size=ROWS),
-        1e6 + np.sin(0.5 * np.arange(ROWS)),
-    ],
-)
-def test_clean_outputs_have_no_spikes(y: np.ndarray) -> None:
-    assert without_spikes(y, np.random.default_rng(1).normal(size=(ROWS, 1))).rows == ()
-
-
-def test_answer_to_a_spike_of_the_input_stays() -> None:
-    u = 0.01 * np.random.default_rng(8).normal(size=ROWS)
-    u[500] = 100.0
-    y = 2.0 * u + 0.001 * np.random.default_rng(9).normal(size=ROWS)
-    assert without_spikes(y, u[:, None]).rows == ()

@@ -1,4 +1,4 @@
-"""Rate how often `identify` recognises loops that only noise excites, and wrong readings.
+"""Rate how often `identify` recognises loops that only noise excites.
 
 Each seed draws other noise and other gains of a mass of 1 kg on 50 N/m and 2 N s/m. False alarms
 are counted on open-loop records of several inputs and on excited loops.
@@ -6,17 +6,13 @@ are counted on open-loop records of several inputs and on excited loops.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
-from loops_under_noise import Loop, multisine, steps
-
 from levid.benchmarks.harness.benchmark_runner import Figure, Target, run
+from levid.benchmarks.harness.loops_under_noise import Loop, multisine, steps
 from levid.identification.nonparametric.feedback_test import (
     InputOrigin,
     input_origins,

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loops_under_noise import Loop
 
+from levid.benchmarks.harness.loops_under_noise import Loop
 from levid.config.base import ConfigError, parse_text
 from levid.config.model import ModelConfig
 from levid.identification.options import Options

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from loops_under_noise import Loop, multisine, steps
 from scipy.signal import lfilter
 
+from levid.benchmarks.harness.loops_under_noise import Loop, multisine, steps
 from levid.identification.nonparametric.feedback_test import feedback_findings, input_origins
 from levid.identification.records.record import Record
 

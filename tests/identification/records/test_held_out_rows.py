@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loops_under_noise import Loop, multisine, steps
 
+from levid.benchmarks.harness.loops_under_noise import Loop, multisine, steps
 from levid.identification.records.excitation_kind import excitations
 from levid.identification.records.held_out_rows import held_out_rows
 from levid.identification.records.record import Record

@@ -132,7 +132,6 @@ def levid() -> None:
 
 def main() -> None:
     """Run the command line; print a user's error without traceback and exit with code 1."""
-    prepare_command()
     sys.stdout, sys.stderr = visible_output(sys.stdout), visible_output(sys.stderr)
     if _COMPLETE in os.environ:
         from .completion import register
@@ -194,4 +193,5 @@ def _user_error(error: Exception) -> bool:
 
 if __name__ == "__main__":
     interrupts.leave_at_once()
+    prepare_command()
     main()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from levid.cli.check import _periods
+from levid.config.command_line import command_line
 from levid.config.shipped import shipped
 from levid.daemon.recording.post_processing import HandoverError
 from levid.log.reader import read_log
@@ -235,6 +236,6 @@ def test_then_commands_run_although_an_earlier_one_failed(
     assert outcome.code == 1
     assert called == [("identify", "identification"), ("trace", "trace")]
     assert "error: levid identify of 1 records failed" in outcome.err
-    assert (
-        f"to repeat it: levid identify {out}/*.mcap --out {out / 'identification'}" in outcome.err
-    )
+    logs = sorted(out.glob("*.mcap"))
+    again = command_line("identify", logs=logs, out=out / "identification")
+    assert f"to repeat it: {again}" in outcome.err

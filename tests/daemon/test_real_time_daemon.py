@@ -269,7 +269,7 @@ def test_lift_off_is_refused_while_a_check_fails(tmp_path: Path) -> None:
     rig = rig.model_copy(update={"control": type(rig.control).model_validate(stiff)})
     with daemon(rig, RIG_FILE, tmp_path) as running, Client(running.socket) as client:
         checks = {f["check"]: f for f in client.request("status")["preflight"]}
-        assert checks.keys() == {"devices", "recorder", "real_time", "cpu", "loop"}
+        assert checks.keys() == {"devices", "amplifiers", "recorder", "real_time", "cpu", "loop"}
         assert checks["devices"]["outcome"] == checks["recorder"]["outcome"] == "passed"
         assert checks["loop"]["outcome"] == "failed"
         step = {"unload_s": 0.2, "ramp_s": 0.5, "settle_s": 0.1, "check_coils": False}

@@ -117,7 +117,9 @@ def test_missing_position_is_requested_again() -> None:
             raise StaleError("two in a row")
         beam[:] = rotor[:] = 0.02 if len(syncs) >= comes_at else np.nan
 
-    devices = SimpleNamespace(syncs=(syncs.append,), drives=SimpleNamespace(read=read))
+    devices = SimpleNamespace(
+        syncs=(syncs.append,), drives=SimpleNamespace(read=read), reads_back=True
+    )
     comes_at = 3
     locate(controller, devices, RIG, 7)  # type: ignore[arg-type]
     assert controller.beam_ref[0] == 0.02

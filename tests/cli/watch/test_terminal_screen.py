@@ -141,7 +141,7 @@ def test_lines_fit_80_columns_and_explain_a_fault_once(flying: Daemon) -> None:
         lines.append(piped.stdout.readline())
     assert max(map(len, lines)) <= WIDTH + 1
     assert [line.split(":")[0].strip() for line in lines if ":" in line] == [
-        "cause", "check", "then",
+        "cause", "check", "then", "coils",
     ]  # fmt: skip
     piped.stdout.close()  # as `| head` does
     assert piped.stderr is not None

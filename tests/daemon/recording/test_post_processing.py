@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -20,10 +20,10 @@ def called(monkeypatch):
 
     def run(command, **_):
         commands.append(command)
-        return subprocess.CompletedProcess(command, run.code)
+        return SimpleNamespace(wait=lambda: run.code)
 
     run.code = 0
-    monkeypatch.setattr(post_processing.subprocess, "run", run)
+    monkeypatch.setattr(post_processing.subprocess, "Popen", run)
     return commands, run
 
 
@@ -33,7 +33,7 @@ def test_verb_gets_all_logs_and_the_folder(called, verb: str) -> None:
     hand_over(verb, LOGS, Path("flown/report"))
     (command,) = commands
     at = command.index(verb)
-    assert command[at - 2 : at] == ["-m", "levid.cli.main"]
+    assert command[at - 3 : at] == ["-P", "-m", "levid.cli.entry"]
     assert command[at + 1 :] == [*map(str, LOGS), "--out", str(Path("flown/report"))]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,6 +32,7 @@ class Recorder:
         self.files: dict[int, list[Path]] = {}
         self.failed: dict[int, str] = {}
         self.problem = ""
+        self.lost = ""
 
     def forget(self) -> None:
         return
@@ -346,28 +348,32 @@ def first_push(job: Job) -> int:
 
 
 def with_coil_3_reversed(devices: Devices) -> Devices:
-    write = devices.amplifiers.write
-
-    def reversed_(coil_n: np.ndarray) -> None:
-        # It carries the others' mean: what it is pushed by itself goes the other way.
-        force_n = coil_n.copy()
-        force_n[3] = 2.0 * np.delete(coil_n, 3).mean() - coil_n[3]
-        write(force_n)
-
-    devices.amplifiers.write = reversed_  # type: ignore[method-assign]
-    return devices
+    # It carries the others' mean: what it is pushed by itself goes the other way.
+    return with_coil_3(devices, lambda mean_n, own_n: 2.0 * mean_n - own_n)
 
 
 def without_coil_3(devices: Devices) -> Devices:
-    write = devices.amplifiers.write
+    # It carries the others' mean: what it pushes itself alone is missing.
+    return with_coil_3(devices, lambda mean_n, _: mean_n)
 
-    def without(coil_n: np.ndarray) -> None:
-        # It carries the others' mean: what it pushes itself alone is missing.
-        force_n = coil_n.copy()
-        force_n[3] = np.delete(coil_n, 3).mean()
-        write(force_n)
 
-    devices.amplifiers.write = without  # type: ignore[method-assign]
+def with_coil_3(devices: Devices, force_n: Callable[[float, float], float]) -> Devices:
+    """Let coil 3 give another force than its current says, of which the amplifiers know nothing."""
+    write, read = devices.amplifiers.write, devices.amplifiers.read
+    hidden_n = deque([0.0, 0.0], maxlen=2)
+
+    def another(coil_n: np.ndarray) -> None:
+        given = coil_n.copy()
+        given[3] = force_n(np.delete(coil_n, 3).mean(), coil_n[3])
+        hidden_n.append(coil_n[3] - given[3])
+        write(given)
+
+    def as_commanded(coil_n: np.ndarray) -> None:
+        read(coil_n)
+        coil_n[3] += hidden_n[0]  # a reading shows the command before the last
+
+    devices.amplifiers.write = another  # type: ignore[method-assign]
+    devices.amplifiers.read = as_commanded  # type: ignore[method-assign]
     return devices
 
 

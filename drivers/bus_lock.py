@@ -129,9 +129,11 @@ def lock_folder() -> Path:
     home = account_home()
     if home is not None and make_private_folder(home / ".local" / "state" / "levid" / "locks"):
         return home / ".local" / "state" / "levid" / "locks"
+    # Root has /run where all other file systems are read-only.
     own = temporary_folder()
-    if make_private_folder(own) and make_private_folder(own / "locks"):
-        return own / "locks"
+    for folder in (Path("/run") / own.name, own):
+        if make_private_folder(folder) and make_private_folder(folder / "locks"):
+            return folder / "locks"
     raise PermissionError(
         errno.EACCES, "expected a folder that this user owns, or none: remove it", str(own)
     )

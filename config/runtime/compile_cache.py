@@ -27,7 +27,7 @@ from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
-from .private_files import make_private_folder, read_private
+from .private_files import is_private_folder, make_private_folder, read_private
 from .user_folders import absolute_folder, temporary_folder, xdg_folder
 
 _VERSIONS = (platform.python_version(), numba.__version__, np.__version__)
@@ -42,7 +42,7 @@ def cache_folder() -> Path | None:
     """Return the folder of compiled functions; None if no folder can be private and written.
 
     The first of $NUMBA_CACHE_DIR, $XDG_CACHE_HOME or ~/.cache, and /tmp in which this user has a
-    private folder. A relative path does not count: it would name the working directory.
+    private folder; one that cannot be written to is read. A relative path does not count: it would name the working directory.
     """
     bases = (
         absolute_folder(os.environ.get("NUMBA_CACHE_DIR")),
@@ -52,7 +52,7 @@ def cache_folder() -> Path | None:
     temporary = temporary_folder()
     if make_private_folder(temporary):
         folders.append(temporary / "compiled")
-    return next(filter(make_private_folder, folders), None)
+    return next((f for f in folders if make_private_folder(f) or is_private_folder(f)), None)
 
 
 class CheckedCache(_Cache):

@@ -61,6 +61,16 @@ def make_private_folder(folder: Path) -> bool:
     return os.access(folder, os.W_OK | os.X_OK)
 
 
+def is_private_folder(folder: Path) -> bool:
+    """Return whether this user owns a folder and no other can enter it, writable or not."""
+    try:
+        found = folder.lstat()
+    except OSError:
+        return False
+    private = found.st_uid == os.geteuid() and not found.st_mode & 0o077
+    return private and stat.S_ISDIR(found.st_mode)
+
+
 def _read(
     path: Path | str,
     flags: int,

@@ -42,7 +42,8 @@ def cache_folder() -> Path | None:
     """Return the folder of compiled functions; None if no folder can be private and written.
 
     The first of $NUMBA_CACHE_DIR, $XDG_CACHE_HOME or ~/.cache, and /tmp in which this user has a
-    private folder; one that cannot be written to is read. A relative path does not count: it would name the working directory.
+    private folder; one that cannot be written to is read. A relative path does not count: it would
+    name the working directory.
     """
     bases = (
         absolute_folder(os.environ.get("NUMBA_CACHE_DIR")),

@@ -117,7 +117,7 @@ def _row(run: Run) -> tuple[str, ...]:
     s = run.summary
     remarks = [f"FAULT {fault_name(s.fault)}"] if s.fault else []
     remarks += [f"{s.incomplete} incomplete"] if s.incomplete else []
-    remarks += [f"{s.unflown} steps not flown"] if s.unflown else []
+    remarks += [f"{s.unflown} step{'s' * (s.unflown != 1)} not flown"] if s.unflown else []
     remarks += [f"{s.unreadable} unreadable"] if s.unreadable else []
     remarks += ["virtual"] if s.virtual else []
     return (

@@ -88,7 +88,7 @@ def summarise_run(folder: str, logs: Sequence[Path]) -> RunSummary:
         length_s=round(sum(log.length_s for log in found), 6),
         fault=max((log.fault for log in found), default=0),
         incomplete=sum(log.incomplete for log in found),
-        unflown=unflown_steps([log.metadata for log in found]),
+        unflown=max(unflown_steps([log.metadata for log in found]) - unreadable, 0),
         unreadable=unreadable,
         bytes=sum(status.st_size for status in map(_status, logs) if status is not None),
         levid="" if first is None else first.levid,

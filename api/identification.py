@@ -63,7 +63,10 @@ class Identification:
     @cached_property
     def answer(self) -> str:
         """The model to use, or why there is none: the sentences with which the report begins."""
-        from ..report.identification.chapters import identification_answer
+        try:
+            from ..report.identification.chapters import identification_answer
+        except ImportError as error:  # its sentences stand beside the figures
+            return f"The answer in words needs matplotlib, which cannot be imported: {error}."
 
         found = self._found
         return identification_answer(found.points, found.grey, found.multisine)

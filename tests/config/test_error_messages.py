@@ -131,9 +131,10 @@ def test_file_without_top_level_keys_is_an_error(tmp_path: Path, text: str) -> N
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.yaml", tmp_path):
-        with pytest.raises(ConfigError, match="cannot be read"):
-            load_rig(path)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_rig(tmp_path / "none.yaml")
+    with pytest.raises(ConfigError, match="expected a file, found a folder"):
+        load_rig(tmp_path)
 
 
 def test_unknown_kind_of_file_is_reported(tmp_path: Path) -> None:

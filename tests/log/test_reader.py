@@ -391,7 +391,7 @@ def test_unreadable_schemas_and_files_are_rejected(tmp_path):
     with pytest.raises(LogError, match=r"found a folder: give the logs in it, as FOLDER/\*\.mcap"):
         read_log(tmp_path)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(LogError, match="expected a file, found something else"):
+    with pytest.raises(LogError, match="expected a file, found a pipe"):
         read_log(tmp_path / "pipe")
 
 

@@ -239,7 +239,7 @@ def test_draft_without_a_rate_says_what_to_fill_in(user: Folder, levid: Command)
     code, out, err = levid("new", "signals", data, "-o", user.signals)
     assert code == 0
     assert "fill in: rate_hz: samples per second" in out
-    assert f"next: levid import {data} --signals {user.signals} -o {user.log}" in err
+    assert f"next: levid import {data} --signals {user.signals} --out {user.log}" in err
     code, _, err = levid("import", data, "--signals", user.signals, "-o", user.log)
     assert code == 1
     assert "rate_hz: expected a number, found 'FILL_IN'" in err

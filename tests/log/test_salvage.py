@@ -156,7 +156,7 @@ def test_any_wrong_bit_in_the_head_loses_no_row(path, rows, tmp_path):
         broken[at] ^= 0x10
         found = salvage(damaged(tmp_path, bytes(broken)))
         assert found.rows.tobytes() == rows.tobytes()
-        # Without the record of the head's checksum, by a wrong code or length, the head is as it was.
+        # By a wrong code or length of the record with its checksum, the head is as it was.
         sources = ("its head", "the copy of its head behind the rows")
         assert found.described_by in sources[not checksum <= at < checksum + 9 :]
         assert (found.metadata["session"], found.attachments) == ("noise", ATTACHMENTS)

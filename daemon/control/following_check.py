@@ -7,6 +7,9 @@ constant that the rig allows. Every first-order response with a shorter time con
 `low` and `high`, which decay towards these commands with the longest one. A reading outside by more
 than the channel's limit deviates, and several fresh readings in a row that deviate are a fault.
 
+A drive that misses setpoints, because a cycle or a frame was late, goes on with its velocity: at
+the velocity v it may also be ahead by v times its time constant.
+
 While readings are missing, or amplifiers report missing setpoints, `low` and `high` do not decay:
 the device may still follow an earlier command.
 """
@@ -131,8 +134,10 @@ def check_following(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one pass 
         before, earlier, limit = own[_BEFORE], own[_EARLIER], own[_LIMIT]
         if settling:
             before = earlier = command
-        high = max(command, before, earlier)
-        low = min(command, before, earlier)
+        # Without new setpoints a drive goes on with its velocity: for its time constant at most.
+        lead = abs(command - before) / (1.0 - own[_DECAY]) if j >= n else 0.0
+        high = max(command + lead, before, earlier)
+        low = min(command - lead, before, earlier)
         own[_EARLIER], own[_BEFORE] = before, command
         # Comparisons instead of max and min: they ignore nan.
         decay = 1.0 if hold else own[_DECAY]

@@ -116,7 +116,8 @@ def test_results_are_printed_if_the_report_fails(
     assert f"model: {tmp_path / 'model.yaml'}" in out
     assert "report:" not in out
     assert "next:" not in out
-    assert "error: No space left on device" in err
+    assert "the results are written, the report is not: " in err
+    assert "No space left on device" in err
     assert load_model(tmp_path / "model.yaml").effects
 
 

@@ -66,14 +66,11 @@ def test_arrow_has_the_columns_of_pandas_and_units(session: levid.Session, tmp_p
     assert session[0].to_arrow(["z_m"]).column_names == ["time_s", "z_m"]
 
 
-def test_records_with_different_signals_have_no_common_table(
+def test_logs_with_different_signals_are_of_two_plants(
     flown: Path, imported: levid.Session
 ) -> None:
-    pytest.importorskip("pandas", reason="levid[data] is not installed")
-    mixed = levid.load([flown, *imported.logs])
-    with pytest.raises(levid.LogError, match="differences between psi and data"):
-        mixed.to_pandas()
-    assert len(mixed["data"].to_pandas()) == 3000
+    with pytest.raises(levid.LogError, match="expected logs of one plant"):
+        levid.load([flown, *imported.logs])
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,8 @@ _ALLOWED = {
     ("api/data_import.py", "mkdir"): "in a temporary folder that this process just made",
     ("daemon/api/unix_listener.py", "chmod"): "by its descriptor, of a socket alone",
     # The cache of executed code and the locks of buses have rules of their own, see their files.
+    ("config/runtime/private_files.py", "mkdir"): "a folder of this user alone, checked after",
+    ("config/runtime/private_files.py", "chmod"): "of a folder of this user",
     ("drivers/bus_lock.py", "os.open"): "a folder of the rig's users, O_EXCL and O_NOFOLLOW",
     ("drivers/bus_lock.py", "mkdir"): "a folder of the service's state",
     ("drivers/bus_lock.py", "chmod"): "of the folder just made",

@@ -175,7 +175,8 @@ def test_relative_folders_do_not_count(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_without_any_folder_it_compiles_anyway(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compile_cache, "make_private_folder", lambda _: False)
+    for name in ("make_private_folder", "is_private_folder"):
+        monkeypatch.setattr(compile_cache, name, lambda _: False)
     cache_folder.cache_clear()
     assert cache_folder() is None
     assert compiled()(2.0) == 6.0

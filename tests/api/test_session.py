@@ -100,7 +100,7 @@ def test_errors_say_what_was_expected_and_what_to_do(
 
 
 def test_records_of_several_rates_have_no_common_rate(flown: Path, imported: levid.Session) -> None:
-    mixed = levid.load([flown, *imported.logs])
+    mixed = levid.Session([*levid.load(flown).logs, *imported.logs])
     with pytest.raises(levid.LogError, match="500 Hz in psi, 100 Hz in data"):
         _ = mixed.rate_hz
     assert "500 Hz, 100 Hz" in repr(mixed)

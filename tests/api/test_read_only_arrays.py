@@ -26,7 +26,8 @@ def _arrays(value: object, name: str, seen: set[int], depth: int = 0) -> Iterato
         for number, inner in enumerate(value):
             yield from _arrays(inner, f"{name}[{number}]", seen, depth + 1)
     if type(value).__module__.startswith("levid.") and not isinstance(value, BaseModel):
-        for attribute in (a for a in dir(value) if not a.startswith("_")):
+        # `results` are the objects of the numerics, which the API only passes on.
+        for attribute in (a for a in dir(value) if not a.startswith("_") and a != "results"):
             inner = getattr(value, attribute, None)
             if not callable(inner):
                 yield from _arrays(inner, f"{name}.{attribute}", seen, depth + 1)

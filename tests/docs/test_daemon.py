@@ -79,7 +79,7 @@ def test_watch_gives_the_keys_of_status(socket_file):
 def test_readme_lists_every_verb():
     text = (ROOT / "README.md").read_text()
     named = re.findall(r"^\| `levid ([a-z-]+)", text, re.MULTILINE)
-    assert sorted(named) == sorted(levid.list_commands(None))
+    assert sorted(set(named)) == sorted(levid.list_commands(None))
 
 
 @pytest.mark.parametrize(

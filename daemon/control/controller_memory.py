@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from . import following_check, sensor_checks
-
 Array = NDArray[np.float64]
 
 ROWS = 10
@@ -16,17 +14,30 @@ heat (C,) in N^2, cycle of the heat, previous gaps (S,), cycle of the previous g
 following check; at the end, state of the sensor checks."""
 
 
+def following_size(coils: int) -> int:
+    """Return the numbers of the following check, as its compiled code has them."""
+    return 8 * (coils + 3)
+
+
+def sensor_checks_size(sensors: int) -> int:
+    """Return the numbers of the sensor checks, as their compiled code has them.
+
+    Stated here too: the supervisor lays out the memory, and does not wait for the import of numba.
+    """
+    return 14 + sensors * (22 + sensors)
+
+
 def memory_shape(coils: int, sensors: int) -> tuple[int, int]:
     """Return the shape of the memory array of a controller."""
-    numbers = coils + sensors + 2 + following_check.size(coils)
-    numbers += sensor_checks.checks_size(sensors)
+    numbers = coils + sensors + 2 + following_size(coils)
+    numbers += sensor_checks_size(sensors)
     return ROWS + (numbers + 3) // 4, 4
 
 
 def checks_of(memory: Array, sensors: int) -> Array:
     """Return a view of the state of the sensor checks."""
     more = memory[ROWS:].reshape(-1)
-    return more[more.size - sensor_checks.checks_size(sensors) :]
+    return more[more.size - sensor_checks_size(sensors) :]
 
 
 def heat_of(memory: Array, coils: int) -> Array:

@@ -27,8 +27,6 @@ from ...log.signals import Stale
 
 Array = NDArray[np.float64]
 
-COIL_READINGS = 3
-"""Deviating readings in a row that make a coil's fault. One may be a defect of the transmission."""
 _SETTLING = 4
 """Cycles after opening or recovering the devices in which a reading extends `low` and `high`: the
 devices may still follow commands from before."""

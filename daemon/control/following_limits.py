@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +11,14 @@ from numpy.typing import NDArray
 from ...config.rig import RigConfig
 from ...model.geometry import shape_matrix
 from .feed_forward import FeedForwardLaw, feed_forward
-from .following_check import COIL_READINGS, FollowingCheck
+
+if TYPE_CHECKING:
+    from .following_check import FollowingCheck
 
 Array = NDArray[np.float64]
 
+COIL_READINGS = 3
+"""Deviating readings in a row that make a coil's fault. One may be a defect of the transmission."""
 _COIL_SHARE = 0.025
 """Default of `limits.coil_follow_n` over `limits.coil_n`: 0.5 N of 20 N."""
 NOISE_SHARE = 0.2
@@ -76,6 +81,8 @@ def following_check(
 
     A drive must deviate for as long as its time constant before it is a fault.
     """
+    from .following_check import FollowingCheck  # compiled: the supervisor does without
+
     coils, limits = len(rig.geometry.coil_x_m), rig.limits
     drive_readings = max(math.ceil(limits.drive_lag_s / period_s), COIL_READINGS)
     return FollowingCheck(

@@ -22,6 +22,7 @@ from ..config.runtime.user_folders import account_home, temporary_folder
 from .base import LinkError
 
 SERVICE_STATE = Path("/var/lib/levid")
+RUN = Path("/run")
 _FLAGS = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 _BOOT_ID, _NETWORK = Path("/proc/sys/kernel/random/boot_id"), Path("/proc/self/ns/net")
 
@@ -131,7 +132,7 @@ def lock_folder() -> Path:
         return home / ".local" / "state" / "levid" / "locks"
     # Root has /run where all other file systems are read-only.
     own = temporary_folder()
-    for folder in (Path("/run") / own.name, own):
+    for folder in (RUN / own.name, own):
         if make_private_folder(folder) and make_private_folder(folder / "locks"):
             return folder / "locks"
     raise PermissionError(

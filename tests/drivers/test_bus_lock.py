@@ -113,6 +113,7 @@ def test_folder_that_another_user_made_before_is_reported(
     taken.mkdir()
     os.chown(taken, NOBODY, -1)
     monkeypatch.setattr(bus_lock, "account_home", lambda: None)
+    monkeypatch.setattr(bus_lock, "RUN", Path("/dev/null"))
     monkeypatch.setattr(bus_lock, "temporary_folder", lambda: taken)
     with pytest.raises(LinkError, match=r"cannot be locked: .*remove it.*levid-0"):
         BusLock("can0").require("can main")

@@ -127,6 +127,8 @@ def test_run_without_rights_is_named_and_hides_no_other(
         shutil.copy(log, tmp_path / name / "a.mcap")
     (tmp_path / "closed").chmod(0o700)
     (tmp_path / "unreadable" / "a.mcap").chmod(0o600)
+    for command in ("list", "info"):  # imports what the other user may not be able to read
+        assert levid(command, tmp_path / "open").code == 0
     with _as_another_user():
         found = levid("list", tmp_path)
         info = levid("info", tmp_path / "closed", tmp_path / "unreadable", tmp_path / "open")

@@ -160,8 +160,10 @@ def attempt(trials: list[dict[str, Any]], rig: Rig, case: Case) -> None:
     recorded = set(_recordings(rig))
     rig.say(case.line)
     if case.kind.of_a_drive:  # a move of the rotor takes 0.25 s: the fault begins before it
-        to_m = 0.03 if rig.ask("status")["beam_m"] < 0.0 else -0.03
-        rig.begin("move", move={"beam_m": to_m, "rotor_rad": 20.0 * to_m, **_MOVE})
+        # After an earlier trial beam and rotor may be anywhere: both have to move.
+        beam_m, rotor_rad = (q["value"] for q in rig.ask("status")["manipulator"])
+        goal = {"beam_m": _away(beam_m, 0.03), "rotor_rad": _away(rotor_rad, 0.6)}
+        rig.begin("move", move={**goal, **_MOVE})
     trials.append(found := dict[str, Any](kind=case.name))
     name = "DRIVE" if case.kind.of_a_drive else "AMPLIFIER"
     try:
@@ -211,6 +213,11 @@ def _come_to(rig: Rig, case: Case) -> None:
         state = "LEVITATING" if case.state == "HOVERING" else case.state
         delay_s = 1.0 + case.delay_s if case.state == "HOVERING" else case.delay_s
         rig.lift_off(state, delay_s)
+
+
+def _away(at: float, goal: float) -> float:
+    """Return the goal or its opposite, whichever is farther."""
+    return goal if at < 0.0 else -goal
 
 
 def _force_problem(rig: Rig, case: Case) -> str:

@@ -9,10 +9,12 @@ of a command is interrupted by the next Ctrl-C. The handlers of this module foll
 2. `raise_once`, while it runs: the first Ctrl-C raises KeyboardInterrupt, which cleans up. It is
    raised again where Python ignored it. Another one after `_CLEANUP_S` ends the process.
 3. `finishing`, after it: the rest of Python's exit has the same time.
+4. `_ignore`, last: Python then restores the handler that kills the process.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -38,6 +40,7 @@ def leave_at_once() -> None:
     """End the process at Ctrl-C, for as long as there is nothing to clean up."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else nohup or a shell's &
         signal.signal(signal.SIGINT, _end_process)
+        atexit.register(_ignore)  # what is registered first runs last
 
 
 def raise_once() -> None:
@@ -77,6 +80,10 @@ def _wait_for_cleanup() -> None:
 def _end_late(*_: object) -> None:
     if time.monotonic() - _State.since_s > _CLEANUP_S:
         _end_process()
+
+
+def _ignore() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _unraisable(ignored: Any) -> None:

@@ -61,6 +61,21 @@ REPLACE = SWALLOW.replace(
         raise ImportError("numpy.core.multiarray failed to import") from None
 """,
 )
+AT_EXIT = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from levid.cli import entry
+from levid.cli import main as commands
+
+class Finalised:
+    kill, signal, pid = os.kill, signal.SIGINT, os.getpid()
+    def __del__(self):
+        self.kill(self.pid, self.signal)
+
+kept = Finalised()  # Python deletes it after it has restored its own signal handlers
+commands.levid = lambda **_: 0
+entry.main()
+"""
 WAITING_CHILD = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -95,6 +110,11 @@ def test_an_interrupt_that_python_or_a_library_takes_ends_the_command(
 ) -> None:
     done = run(code, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
+def test_an_interrupt_while_python_ends_changes_nothing(tmp_path: Path) -> None:
+    done = run(AT_EXIT, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_a_background_job_keeps_ignoring_the_interrupt(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from levid.config.base import parse, read_mapping
-from levid.config.rig import RigConfig
+from levid.config.rig import RigConfig, load_rig
 from levid.config.session import SessionConfig
 from levid.config.shipped import shipped
 from levid.config.sim import SimConfig
@@ -39,7 +39,7 @@ def fly_session(
     sim_file = out / "sim.yaml"
     plant = {**read_mapping(sim), "seed": session["seed"], "effects": [dict(e) for e in effects]}
     sim_file.write_text(yaml.safe_dump(plant))
-    flown_rig = parse(rig or read_mapping(RIG), RigConfig, str(RIG))
+    flown_rig = load_rig(RIG) if rig is None else parse(rig, RigConfig, str(RIG))
     flown = fly_virtually(
         flown_rig.model_copy(update={"sim": str(sim_file)}),
         RIG,

@@ -14,6 +14,7 @@ import os
 import pickle
 import platform
 import secrets
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
@@ -31,6 +32,8 @@ from .private_files import is_private_folder, make_private_folder, read_private
 from .user_folders import absolute_folder, temporary_folder, xdg_folder
 
 _VERSIONS = (platform.python_version(), numba.__version__, np.__version__)
+_OPTIMISED = sys.flags.optimize
+"""python -O has other code: in files of its own, or the two would replace each other's."""
 _rebuild: Any = CompileResult._rebuild
 _dumps: Any = dumps
 _SUFFIX = ".compiled"
@@ -133,7 +136,8 @@ class CheckedCache(_Cache):
         code = self._py_func.__code__
         name = f"{self._py_func.__module__}.{self._py_func.__qualname__}"
         closure = _closure(self._py_func)
-        where = repr((name, code.co_filename, closure, signature, codegen.magic_tuple()))
+        place = name, code.co_filename, closure, signature, codegen.magic_tuple()
+        where = repr((*place, _OPTIMISED))
         file = f"{name.rpartition('.')[2]}-{hashlib.sha256(where.encode()).hexdigest()[:24]}"
         return folder / f"{file}{_SUFFIX}", repr((where, self._stamp, _VERSIONS)).encode()
 

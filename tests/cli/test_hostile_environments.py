@@ -67,7 +67,6 @@ ENVIRONMENTS = {
         "PYTHONCOERCECLOCALE": "0",
         "PYTHONWARNINGS": "error",
         "PYTHONINSPECT": "1",
-        "PYTHONOPTIMIZE": "2",
         "PYTHONPATH": ":",
     },
     "home that is no folder, numbers that are none": {

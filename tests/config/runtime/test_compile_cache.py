@@ -108,6 +108,16 @@ def test_functions_made_for_several_values_have_files_of_their_own(folder: Path)
     assert [hits(function) for function in again] == [1, 1]
 
 
+def test_python_without_asserts_has_files_of_its_own(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else two processes, one with -O, would compile anew in turn."""
+    assert compiled()(2.0) == 6.0
+    monkeypatch.setattr(compile_cache, "_OPTIMISED", 2)
+    assert compiled()(2.0) == 6.0
+    assert len(list(folder.iterdir())) == 2
+
+
 @pytest.mark.parametrize("mode", [0o620, 0o602, 0o666, 0o660])
 def test_file_that_others_may_change_is_not_loaded(folder: Path, mode: int) -> None:
     compiled()(2.0)

@@ -24,7 +24,7 @@ def sensor_checks_size(sensors: int) -> int:
 
     Stated here too: the supervisor lays out the memory, and does not wait for the import of numba.
     """
-    return 14 + sensors * (22 + sensors)
+    return 14 + sensors * (17 + sensors)
 
 
 def memory_shape(coils: int, sensors: int) -> tuple[int, int]:

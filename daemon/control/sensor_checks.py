@@ -23,20 +23,11 @@ from .force_without_motion import (
     note_force,
 )
 from .plane_residual import averaging_cycles, off_plane, plane_text, residual_projector
-from .standing_readings import (
-    LEAST_REPEATS,
-    LEAST_ROWS,
-    LEAST_STEP,
-    RestNoise,
-    evidence_limit,
-    rest_noise,
-)
+from .standing_readings import LEAST_ROWS, LEAST_STEP, RestNoise, evidence_limit, rest_noise
 
 Array = NDArray[np.float64]
 
 _OLD = int(Stale.SENSORS)
-_GAIN_ERROR = 0.1
-"""Share of a motion by which the sensors may disagree: gains, nonlinearity, flexible parts."""
 
 # Scalars, then those of the force rule.
 (
@@ -44,13 +35,11 @@ _GAIN_ERROR = 0.1
 ) = range(7)  # fmt: skip
 _FORCE_HEAD = 7
 _HEAD = _FORCE_HEAD + FORCE_HEAD
-# Of each sensor: newest reading, repeats, averaged residual; evidence of a repeat in nats, step,
-# variance, repeats before the motion of the others counts; one over its residual's share of its
-# error (0: not seen by the others); row of the shape matrix; pose since which it repeats.
-_LAST, _REPEATS, _MEAN, _NATS, _STEP, _VARIANCE, _LEAST, _SHARE = range(8)
-_SHAPE, _SINCE = slice(8, 11), slice(11, 14)
-_SENSOR = 14 + FORCE_SENSOR
-_FORCE = slice(14, _SENSOR)
+# Of each sensor: newest reading, repeats, averaged residual; evidence of a repeat in nats, step;
+# one over its residual's share of its error (0: not seen by the others); row of the shape matrix.
+_LAST, _REPEATS, _MEAN, _NATS, _STEP, _SHARE = range(6)
+_SHAPE, _FORCE_AT = slice(6, 9), 9
+_SENSOR = _FORCE_AT + FORCE_SENSOR
 _STANDS, _OFF, _JUMPED, _WITHOUT_MOTION = 1, 2, 3, 4
 
 
@@ -83,7 +72,9 @@ class SensorChecks:
         self._projector = found.projector
         self._head[_EVIDENCE] = evidence_limit(count, self._rate_hz)
         self._head[_PLANE] = rig.plane_m
-        self._force = ForceRule(rig, period_s, self._head[_FORCE_HEAD:], self._sensors[:, _FORCE])
+        self._force = ForceRule(
+            rig, period_s, self._head[_FORCE_HEAD:], self._sensors[:, _FORCE_AT:]
+        )
         self._least_step_m = LEAST_STEP * rig.limits.gap_m
         self._earlier: RestNoise | None = None
         self.forget()
@@ -92,8 +83,7 @@ class SensorChecks:
         """Forget noise and readings: the sensors may be others, or repaired."""
         sensors = self._sensors
         # Unknown: no repeat is evidence.
-        sensors[:, _NATS], sensors[:, _STEP], sensors[:, _VARIANCE] = 0.0, math.inf, math.inf
-        sensors[:, _LEAST] = LEAST_REPEATS
+        sensors[:, _NATS], sensors[:, _STEP] = 0.0, math.inf
         self._average(None)
         self._begin()
 
@@ -115,8 +105,7 @@ class SensorChecks:
                 return f"{_named(standing, len(sensors))} at rest, with noise before"
         self._earlier = noise
         sensors[:, _NATS] = -np.log(noise.repeat)
-        sensors[:, _STEP], sensors[:, _VARIANCE] = noise.step_m, noise.noise_m**2
-        sensors[:, _LEAST] = np.maximum(2.0 * noise.longest, LEAST_REPEATS)
+        sensors[:, _STEP] = noise.step_m
         self._head[_COARSE] = float(np.any(noise.repeat >= 1.0))
         self._average(noise)
         return ""
@@ -138,7 +127,7 @@ class SensorChecks:
             residual = self._projector @ sensors[:, _LAST]
             text = plane_text(sensors[:, _MEAN], residual, self._projector, self._head[_PLANE])
             repeats = sensors[where, _REPEATS]
-            stood = repeats >= sensors[where, _LEAST]
+            stood = repeats * self._head[_WEIGHT] >= 1.0
             return f"{text}; it repeats its reading for {repeats:.0f} cycles" if stood else text
         if found == _JUMPED:
             return f"sensor {where} jumped by {1e3 * amount:.3f} mm, the others did not"
@@ -194,12 +183,11 @@ def check_sensors(  # type: ignore[no-untyped-def]
                 own[_STEP] = min(own[_STEP], abs(gap[j] - own[_LAST]))
             own[_LAST] = gap[j]
             own[_REPEATS] = 0.0
-            own[11], own[12], own[13] = pose[0], pose[1], pose[2]
         else:
             own[_REPEATS] += 1.0
-            if _stands_still(j, gap, pose, head, sensors, memory[end:]):
+            if own[_REPEATS] * own[_NATS] > head[_EVIDENCE]:
                 found = j + 1
-        residual = gap[j] - (own[8] * pose[0] + own[9] * pose[1] + own[10] * pose[2])
+        residual = gap[j] - (own[6] * pose[0] + own[7] * pose[1] + own[8] * pose[2])
         own[_MEAN] += head[_WEIGHT] * (residual - own[_MEAN])
         off = off or abs(own[_MEAN]) * own[_SHARE] > head[_PLANE]
     if found:
@@ -220,45 +208,6 @@ def check_sensors(  # type: ignore[no-untyped-def]
             head[_FOUND], head[_WHERE], head[_AMOUNT] = _OFF, at, error
             return True
     return False
-
-
-@njit(cache=True)
-def _stands_still(  # type: ignore[no-untyped-def]
-    j, gap, pose, head, sensors, projector
-) -> bool:
-    """Return whether the repeats of sensor j are a fault."""
-    own = sensors[j]
-    repeats = own[_REPEATS]
-    if repeats * own[_NATS] > head[_EVIDENCE]:
-        return True
-    if repeats < own[_LEAST] or own[_SHARE] == 0.0:
-        return False
-    by_others = own[_SHARE]  # the pose follows from all readings, also from the one that stands
-    q0, q1, q2 = pose[0] - own[11], pose[1] - own[12], pose[2] - own[13]
-    moved = abs(own[8] * q0 + own[9] * q1 + own[10] * q2) * by_others
-    if moved <= own[_STEP]:
-        return False
-    largest, tolerance, variance, most, best = 0.0, 0.0, 0.0, -1.0, j
-    for i in range(len(sensors)):
-        other = sensors[i]
-        largest = max(largest, abs(other[8] * q0 + other[9] * q1 + other[10] * q2))
-        weight = abs(projector[j * len(sensors) + i]) * by_others
-        tolerance += weight * other[_STEP]
-        noise = other[_VARIANCE] + other[_STEP] * other[_STEP] / 12.0
-        variance += 2.0 * weight * weight * noise
-        residual = gap[i] - (other[8] * pose[0] + other[9] * pose[1] + other[10] * pose[2])
-        change = residual - other[_MEAN]
-        if i == j:
-            moved = min(moved, abs(change) * by_others)
-        if change * change * other[_SHARE] > most:
-            best, most = i, change * change * other[_SHARE]
-    if best != j:  # another sensor stands or errs: its own repeats are judged
-        return False
-    beyond = moved - tolerance - _GAIN_ERROR * by_others * largest
-    if not beyond > 0.0:  # nan or infinite: a step is unknown
-        return False
-    evidence = repeats * own[_NATS] + beyond * beyond / (2.0 * variance)
-    return bool(evidence > head[_EVIDENCE])
 
 
 @njit(cache=True)
@@ -294,6 +243,6 @@ def note_command(  # type: ignore[no-untyped-def]
     if head[_COARSE] > 0.0:
         sensors = memory[_HEAD : _HEAD + n_sensors * _SENSOR].reshape(n_sensors, _SENSOR)
         note_force(
-            coil, coil_shape, planned, share, steady, head[_FORCE_HEAD:], sensors[:, 14:],
+            coil, coil_shape, planned, share, steady, head[_FORCE_HEAD:], sensors[:, _FORCE_AT:],
             sensors[:, _REPEATS], sensors[:, _STEP],
         )  # fmt: skip

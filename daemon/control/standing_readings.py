@@ -1,20 +1,16 @@
-"""Find readings that stand still although the noise or the motion of the platform should move them.
+"""Find readings that stand still although the noise of their sensor should move them.
 
-**Noise.** A sensor's reading is a multiple of its step. With white noise of standard deviation s it
+A sensor's reading is a multiple of its step. With white noise of standard deviation s it
 repeats with at most the probability p = erf(step / (2 sqrt(2) s)), which it has where the true
 height is in the middle of a step. n repeats in a row have at most p^n, so -ln(p) of *evidence*
 comes with each repeat. `rest_noise` measures step, s and p of each channel at zero force, where
 nothing else moves the readings. Nothing is assumed of the converter.
 
-**Other sensors.** If they say that the platform has moved by d at this sensor since its reading
-stands, noise must have cancelled d: (|d| - tolerance)^2 / (2 s_d^2) more evidence, whatever n is,
-because the first of the equal readings alone may be the outlier. The sensor that explains most of
-the readings' change off their plane must be one that stands: a wrong reading of another sensor is
-no motion.
-
 A reading stands still once the evidence exceeds the limit: `evidence_limit` makes it once in a
 thousand years of all sensors together. Where the noise is below about a third of the step, repeats
-are normal and give no evidence: then `ForceRule` judges by the commanded force.
+are normal and give no evidence: then `ForceRule` judges by the commanded force, and the plane
+through the other readings by where they are. That the others move is no evidence within cycles: a
+platform that is not rigid may stand still at one sensor while it moves at the others.
 """
 
 from __future__ import annotations
@@ -30,9 +26,6 @@ Array = NDArray[np.float64]
 FALSE_ALARMS_A_YEAR = 1e-3
 """False alarms of one check on a rig that flies without a pause."""
 _YEAR_S = 365.25 * 86_400.0
-LEAST_REPEATS = 3
-"""Repeats before the other sensors' motion counts: a wrong reading of another sensor lasts a cycle
-or two."""
 LEAST_ROWS = 40
 """Fewest readings from which the noise is estimated."""
 MOST_ROWS = 500
@@ -64,14 +57,12 @@ class RestNoise:
 
     step_m (S,): smallest difference of two readings, infinite if all are equal. noise_m (S,):
     standard deviation. repeat (S,): upper bound of the probability that a reading repeats, 1 where
-    repeats are normal. longest (S,): longest run of repeats that the noise does not explain, 0 if
-    it explains all: a converter that is slower than the cycle.
+    repeats are normal.
     """
 
     step_m: Array
     noise_m: Array
     repeat: Array
-    longest: Array
 
 
 def evidence_limit(sensors: int, rate_hz: float) -> float:
@@ -102,20 +93,16 @@ def rest_noise(gap_m: Array, least_step_m: float) -> RestNoise:
     return RestNoise(*np.array([_of_channel(y, least_step_m) for y in newest.T]).T)
 
 
-def _of_channel(y: Array, least_step_m: float) -> tuple[float, float, float, float]:
+def _of_channel(y: Array, least_step_m: float) -> tuple[float, float, float]:
     levels = np.unique(y)
     if len(levels) == 1:
-        return math.inf, 0.0, 1.0, 0.0
+        return math.inf, 0.0, 1.0
     step = max(float(np.diff(levels).min()), least_step_m)
     number = np.rint((y - levels[0]) / step)
     by_noise = repeat_probability(1.0, _least_noise(number))
     again = np.diff(y) == 0.0
-    seen = _upper_bound(float(again.mean()), len(again))
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(int)))
-    longest = float((ends[1::2] - ends[::2]).max(initial=0))
-    explained = again.mean() <= by_noise
-    repeat = max(by_noise, seen) if by_noise < _MOST_REPEATS else 1.0
-    return step, float(y.std()), repeat, 0.0 if explained else longest
+    seen = _upper_bound(float(again.mean()), len(again))  # a converter may be slower than the cycle
+    return step, float(y.std()), max(by_noise, seen) if by_noise < _MOST_REPEATS else 1.0
 
 
 def _least_noise(number: Array) -> float:

@@ -77,6 +77,7 @@ steps:
 """
 
 
+@pytest.mark.long  # it compiles the loop
 def test_installed_levid_knows_shipped_files_by_name(installed: Path, tmp_path: Path) -> None:
     """As after `pip install levid`: outside the repository, without a file of one's own."""
     folder = tmp_path / "my work"

@@ -28,6 +28,14 @@ GRID = (0.12, 0.0, -0.12)
 LONGEST = 26
 """Repeats until 200 readings with noise of 3.3 steps are found: 17 with the true noise."""
 NO_STEP_M = 1e-12
+BENDING = """
+effects:
+  - use: levid.sim.effects.flexible:FlexibleMode
+    freq_hz: 95
+    damping: 0.01
+    mass_kg: 1
+    shape: [1, -0.4, 0.7, 0.02, 0.9, 0.1, -0.8, 0.3, -0.2]
+"""
 
 
 def with_sensors(x_m: tuple[float, ...], y_m: tuple[float, ...]) -> RigConfig:
@@ -65,8 +73,6 @@ def test_machine_that_shakes_the_platform_slowly_is_no_noise_of_the_sensors() ->
 def test_converter_that_is_slower_than_the_cycle_may_repeat() -> None:
     found = rest_noise(np.repeat(quantised(3.0, 50), 4, axis=0), NO_STEP_M)
     assert np.all(found.repeat > 0.75)
-    assert np.all(found.longest >= 3)
-    assert np.all(rest_noise(quantised(3.0, 200), NO_STEP_M).longest == 0)  # noise explains it
 
 
 @pytest.mark.parametrize("phase", PHASES[1:])
@@ -113,6 +119,14 @@ def test_small_slow_and_intermittent_errors_are_found(line: str) -> None:
 @pytest.mark.parametrize("line", ["gain 1 1.03", "gain 8 0.97", "spike 2 0.0001", "off 4 0.00008"])
 def test_small_errors_are_no_fault(line: str, sim: str) -> None:
     assert fly(line, "idle", sim=shipped(f"sims/{sim}.yaml")).fault == ""
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_a_platform_that_bends_is_no_fault(tmp_path: Path, bits: int) -> None:
+    """A sensor may stand still for some cycles while the others move: it is near a node."""
+    sim = _sim(tmp_path, bits, "1e-7")
+    sim.write_text(sim.read_text().replace("effects: []", BENDING))
+    assert fly("gain 1 1.0", sim=sim).fault == ""
 
 
 @pytest.mark.parametrize("noise", ["0", "1e-9", "1e-7"])

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 
+from .gap_filling import runs
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -16,14 +18,19 @@ _FAR = 4.0
 """Least distance of a code from the other values, over their whole range."""
 _MOST_CODES = 0.5
 """Largest share of rows with a code."""
+_LEAST_LEVELS = 3
+"""Least number of different values beside a code in a signal that a program sets: of fewer, the
+code may be a level, such as 65535 of a pulse width."""
 _LONGEST_SPIKE = 5
 """Longest run of rows that leaves the signal and returns to it, in rows."""
 _OVER_NOISE = 15.0
 """Least height of a spike over the standard deviation of the change from row to row. A Gaussian
 value is beyond 15 standard deviations once in 10^50 rows."""
 _OVER_STEPS = 5.0
-"""Least height of a spike over the largest step in the rows around it. An impact moves the signal
-in the rows after it as well."""
+"""Least height of a spike over the largest step in the rows around it, as an impact moves the
+signal in the rows after it as well; of one that is certain, over all other steps of the record."""
+_FLAT = 0.2
+"""Largest change inside a spike of several rows, over its height: an impact rises and falls."""
 _AROUND = 25
 """Rows before and after a spike in which its height is compared with other steps."""
 _MOST_NEAR = 5.5
@@ -45,60 +52,37 @@ _LARGEST = 1e30
 
 
 @dataclass(frozen=True)
-class Outliers:
-    """Rows (N,) of a column whose values are no readings, and why.
+class Spikes:
+    """Rows (N,) of a column that leave the signal for a few rows and return to it.
 
-    codes: which rows hold a code for a missing value. spikes: which rows leave the signal for a
-    few rows.
+    certain: no other step of the record is nearly as high. doubtful: the signal also jumps
+    elsewhere, or it rises and falls within the rows, as an impact does.
     """
 
-    codes: Mask
-    spikes: Mask
-
-    @property
-    def rows(self) -> NDArray[np.int64]:
-        """Indices of the rows."""
-        return np.flatnonzero(self.codes | self.spikes)
+    certain: Mask
+    doubtful: Mask
 
 
-def find_outliers(values: Array, *, sudden: bool) -> Outliers:
-    """Return the values (N,), NaN where missing, that are no readings of this signal.
+def find_codes(values: Array, *, levels: bool) -> Mask:
+    """Return which values (N,), NaN where missing, are codes for no reading.
 
-    sudden: the signal may change suddenly, as inputs and references do: then only codes for
-    missing values count.
+    They are impossibly large, or a usual code far from all other values. levels: whether the signal
+    may consist of a few levels, as one that a program sets.
     """
+    found = np.zeros(len(values), bool)
     known = ~np.isnan(values)
-    codes, spikes = np.zeros(len(values), bool), np.zeros(len(values), bool)
-    codes[known] = _codes(values[known])
-    rest = known & ~codes
-    if not sudden and np.count_nonzero(rest) >= _LEAST_ROWS:
-        spikes[rest] = _spikes(values[rest])
-    return Outliers(codes, spikes)
+    found[known] = _codes(values[known], 1 + levels * (_LEAST_LEVELS - 1))
+    return found
 
 
-def lone_extremes(values: Array) -> NDArray[np.int64]:
-    """Return rows of a signal (N,) that may change suddenly, with a value far beyond all others."""
-    known = np.flatnonzero(~np.isnan(values))
-    if len(known) < _LEAST_ROWS:
-        return known[:0]
-    ordered = np.sort(values[known])
-    kept = ordered[2:-2]
-    spread = float(np.ptp(kept))
-    if spread == 0.0:
-        return known[:0]
-    far = np.abs(values[known] - np.median(kept)) > _OVER_NOISE * spread
-    return known[far]
-
-
-def _codes(values: Array) -> Mask:
-    """Return which values are codes: far from all others, and a usual code or impossibly large."""
+def _codes(values: Array, least_others: int) -> Mask:
     found = np.abs(values) >= _LARGEST
     near = {code: np.abs(values - code) <= 1e-6 * abs(code) for code in _CODES}
     near = {code: mask for code, mask in near.items() if mask.any()}
     if not near:
         return found
     others = values[~(found | np.any(list(near.values()), axis=0))]
-    if not len(others):
+    if len(np.unique(others)) < least_others:
         return found
     spread, largest = float(np.ptp(others)), float(np.abs(others).max())
     for code, mask in near.items():
@@ -110,38 +94,52 @@ def _codes(values: Array) -> Mask:
     return found
 
 
-def _spikes(values: Array) -> Mask:
-    """Return which values leave the signal for at most five rows, and return to it.
+def find_spikes(values: Array) -> Spikes:
+    """Return which values (N,), NaN where missing, leave the signal for at most five rows.
 
     The height of a spike is its distance from the running median, which follows steps. It must be
-    far above noise, and above what the signal moves from row to row nearby.
+    far above noise, and above what the signal moves from row to row nearby, or over its whole
+    range. The first and the last row count only beyond the range of all others.
     """
+    certain, doubtful = np.zeros(len(values), bool), np.zeros(len(values), bool)
+    known = ~np.isnan(values)
+    if np.count_nonzero(known) >= _LEAST_ROWS:
+        certain[known], doubtful[known] = _spikes(values[known])
+    return Spikes(certain, doubtful)
+
+
+def _spikes(values: Array) -> tuple[Mask, Mask]:
+    none = np.zeros(len(values), bool)
     height = np.abs(values - median_filter(values, 2 * _LONGEST_SPIKE + 1, mode="mirror"))
     step = np.abs(np.diff(values))
-    usual = step[step > 0.0]
-    if not len(usual):
-        return np.zeros(len(values), bool)
-    scale = 1.4826 * float(np.median(usual))
+    if not step.any():
+        return none, none
+    scale = max(1.4826 * float(np.median(step)), float(np.min(step[step > 0.0])))
     high = height > _OVER_NOISE * scale
-    if not high.any():
-        return high
-    high &= ~_long_runs(high)
+    for begin, end in runs(high):
+        high[begin:end] = end - begin <= _LONGEST_SPIKE
     # Steps into and out of high rows do not count: they are what is judged.
-    quiet = np.where(high[1:] | high[:-1], 0.0, step)
+    largest = maximum_filter1d(_steps_between(step, ~high), 2 * _AROUND + 1, mode="constant")
+    begins = np.diff(high.astype(np.int64), prepend=0) == 1
     width = 2 * _AROUND + 1
-    largest = maximum_filter1d(np.concatenate([[0.0], quiet]), width, mode="constant")
-    begins = np.diff(np.concatenate([[0], high.astype(np.int64)])) == 1
     near = uniform_filter1d(begins.astype(np.float64), width, mode="constant") * width
-    found = high & (height > _OVER_STEPS * np.maximum(largest, scale)) & (near < _MOST_NEAR)
+    alone = (height > _OVER_STEPS * np.maximum(largest, scale)) & (near < _MOST_NEAR)
+    found = high & (alone | (height > float(np.ptp(values[~high]))))
+    for begin, end in runs(found):
+        at_edge = begin == 0 or end == len(values)
+        beyond = end - begin == 1 and height[begin] > np.ptp(values[~found])
+        found[begin:end] = not at_edge or beyond
     if np.count_nonzero(found) > _MOST_SPIKES * len(values):
-        return np.zeros(len(values), bool)
-    return found
+        return none, none
+    # If nothing else moves the signal, the spikes are the signal.
+    others = float(_steps_between(step, ~found).max())
+    certain = found & (height > _OVER_STEPS * others) & (others > 0.0)
+    for begin, end in runs(found):
+        flat = np.ptp(values[begin:end]) < _FLAT * height[begin:end].min()
+        certain[begin:end] &= certain[begin:end].all() and flat
+    return certain, found & ~certain
 
 
-def _long_runs(mask: Mask) -> Mask:
-    """Return the rows (N,) in runs of more rows than a spike has."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    found = np.zeros(len(mask), bool)
-    for begin, end in edges.reshape(-1, 2):
-        found[begin:end] = end - begin > _LONGEST_SPIKE
-    return found
+def _steps_between(step: Array, rows: Mask) -> Array:
+    """Return the step (N,) before each row, 0 unless it and the row before are among `rows`."""
+    return np.concatenate([[0.0], np.where(rows[1:] & rows[:-1], step, 0.0)])

@@ -7,19 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from ..errors import LogError
-from .outlying_values import Outliers, find_outliers, lone_extremes
+from .outlying_values import find_codes, find_spikes
 from .signals_yaml import Column, SignalsFile
-from .wrapped_values import Wrap, find_wrap, unwrapped
+from .wrapped_values import Wrap, excursions, find_wrap, unwrapped
 
 Array = NDArray[np.float64]
 
 _MOST_LISTED = 5
-_SUDDEN = ("input", "excitation", "reference")
+_SET = ("input", "excitation", "reference")
 """Roles of signals that a person or a program sets: they may change suddenly by design."""
-_NEARBY = 3
-"""Rows before a spike in which a change of an input may cause it."""
+_AFTER = 3
+"""Most rows from a change of an input to a jump of an output that it causes."""
+_MOST_AFTER = 0.1
+"""Largest share of rows soon after such a change: of more, a jump follows one by chance."""
 
 
 @dataclass(frozen=True)
@@ -34,117 +37,157 @@ def repaired(where: str, signals: SignalsFile, columns: Sequence[Array]) -> Read
     """Return the columns in the units of the file, continuous and without outliers.
 
     A wrapped output is unwrapped if the range of its jumps is a usual one or stated. Codes for
-    missing values and single spikes become NaN, which the import fills in or cuts out.
+    missing values and spikes that are certain become NaN, which the import fills in or cuts out.
 
     Raises:
         LogError: an output jumps by a range that is neither usual nor stated.
     """
-    numbers = [v for v in signals.missing if not isinstance(v, str)]
-    values, remarks, spikes = [], [], {}
-    for column, read in zip(signals.columns, columns, strict=True):
-        value = read.copy()
-        stated = np.isin(value, numbers)
-        if stated.any():
-            value[stated] = np.nan
-            remarks.append(
-                f"{column.name}: {np.count_nonzero(stated)} values listed in missing are left out"
-            )
+    remarks: list[str] = []
+    values = [
+        _with_codes_left_out(column, signals, read.copy(), remarks)
+        for column, read in zip(signals.columns, columns, strict=True)
+    ]
+    inputs = [v for c, v in zip(signals.columns, values, strict=True) if c.role in _SET[:2]]
+    ranges: set[float] = set()
+    order = sorted(range(len(values)), key=lambda i: signals.columns[i].role == "reference")
+    for i in order:  # references follow the outputs
+        column = signals.columns[i]
         if column.role == "time":
-            values.append(_continued_clock(column, value, remarks))
+            values[i] = _continued_clock(column, values[i], remarks)
             continue
-        found = find_outliers(value, sudden=True)
-        value = _without(column, signals, value, found, remarks)
-        value, wrapped = _without_wraps(where, signals, column, value, remarks)
-        if column.role not in (*_SUDDEN, "other"):
-            spikes[len(values)] = find_outliers(value, sudden=False)
-        elif column.role in _SUDDEN and not wrapped:
-            remarks += _extremes(column, signals, value)
-        values.append(value)
-    inputs = [v for c, v in zip(signals.columns, values, strict=True) if c.role in _SUDDEN]
-    for index, found in spikes.items():
-        caused = [row for row in found.rows if _caused(row, found, inputs)]
-        if caused:
-            found.spikes[caused] = False
-            at = _listed([str(signals.rows.first + row) for row in caused])
-            remarks.append(
-                f"{signals.columns[index].name} has spikes that begin where an input jumps (row "
-                f"{at}); they are kept"
-            )
-        values[index] = _without(signals.columns[index], signals, values[index], found, remarks)
+        read = values[i]
+        values[i], wrapped = _without_wraps(where, signals, column, read, inputs, ranges, remarks)
+        if column.role == "other" or (wrapped and column.role in _SET):
+            continue
+        values[i] = _without_spikes(column, signals, values[i], read, inputs, remarks)
     return Readings(values, tuple(remarks))
 
 
-def _without(
-    column: Column, signals: SignalsFile, values: Array, found: Outliers, remarks: list[str]
+def _with_codes_left_out(
+    column: Column, signals: SignalsFile, values: Array, remarks: list[str]
 ) -> Array:
-    """Return values without outliers, unless the column keeps them; tell in either case."""
-    if not len(found.rows):
-        return values
-    kinds = [
-        (found.codes, "values that mean 'no reading'", "codes"),
-        (found.spikes, "values far from those before and after", "spikes"),
-    ]
-    for mask, words, _ in kinds:
-        rows = np.flatnonzero(mask)
-        if not len(rows):
-            continue
-        at = _listed([f"{values[row]:.6g} in row {signals.rows.first + row}" for row in rows])
-        if column.outliers == "keep":
-            remarks.append(f"{column.name}: {len(rows)} {words} ({at}) are kept (outliers: keep)")
-            continue
+    """Return values with NaN for those that mean that there is no reading."""
+    stated = np.isin(values, [v for v in signals.missing if not isinstance(v, str)])
+    if stated.any():
+        values[stated] = np.nan
         remarks.append(
-            f"{column.name}: {len(rows)} {words} ({at}) are left out as missing; to keep them, set "
-            "outliers: keep for this column"
+            f"{column.name}: {np.count_nonzero(stated)} values listed in missing are left out"
         )
-    if column.outliers == "keep":
+    if column.role == "time":
         return values
-    values = values.copy()
-    values[found.rows] = np.nan
+    codes = find_codes(values, levels=column.role in _SET)
+    if codes.any():
+        found = f"{column.name}: {_shown(codes, values, signals, 'values that mean no reading')}"
+        if column.outliers == "keep":
+            remarks.append(f"{found} are kept (outliers: keep)")
+            return values
+        values[codes] = np.nan
+        remarks.append(
+            f"{found} are left out as missing; to keep them, set outliers: keep for this column"
+        )
     return values
 
 
+def _without_spikes(
+    column: Column,
+    signals: SignalsFile,
+    values: Array,
+    read: Array,
+    inputs: Sequence[Array],
+    remarks: list[str],
+) -> Array:
+    """Return values without certain spikes, unless an input caused them or they are to be kept.
+
+    `read` are the values of the file. All spikes are left out if the column says so.
+    """
+    spikes = find_spikes(values)
+    is_set, certain, doubtful = column.role in _SET, spikes.certain, spikes.doubtful
+    if is_set or column.outliers == "keep" or _caused(np.flatnonzero(certain), inputs):
+        certain, doubtful = np.zeros(len(values), bool), certain | (doubtful & (not is_set))
+    if column.outliers == "mask":
+        certain, doubtful = spikes.certain | spikes.doubtful, np.zeros(len(values), bool)
+    words = "values far from those before and after"
+    if doubtful.any():
+        why = (
+            "outliers: keep"
+            if column.outliers == "keep"
+            else "it may jump by design"
+            if is_set
+            else "an input or the signal itself jumps as far elsewhere"
+        )
+        remarks.append(
+            f"{column.name}: {_shown(doubtful, read, signals, words)} are kept ({why}); if they "
+            "are wrong, set outliers: mask for this column"
+        )
+    if certain.any():
+        remarks.append(
+            f"{column.name}: {_shown(certain, read, signals, words)} are left out as missing; to "
+            "keep them, set outliers: keep for this column"
+        )
+        values = np.where(certain, np.nan, values)
+    return values
+
+
+def _shown(mask: NDArray[np.bool_], values: Array, signals: SignalsFile, words: str) -> str:
+    rows = np.flatnonzero(mask)
+    at = _listed([f"{values[row]:.6g} in row {signals.rows.first + row}" for row in rows])
+    return f"{len(rows)} {words} ({at})"
+
+
 def _without_wraps(
-    where: str, signals: SignalsFile, column: Column, values: Array, remarks: list[str]
+    where: str,
+    signals: SignalsFile,
+    column: Column,
+    values: Array,
+    inputs: Sequence[Array],
+    ranges: set[float],
+    remarks: list[str],
 ) -> tuple[Array, bool]:
-    """Return values without jumps by the range of an angle or counter, and whether it had any."""
-    if column.wraps == "none":
-        return values, False
-    if column.wraps is not None:
-        found = unwrapped(values, column.wraps)
+    """Return values without jumps by the range of an angle or counter, and whether it had any.
+
+    `ranges` are those of outputs that are unwrapped, in the logged unit. A reference is unwrapped
+    beside such an output only: alone, it may be a saw-tooth.
+    """
+    wrap = find_wrap(values) if column.wraps is None else None
+    if isinstance(column.wraps, float):
+        found = unwrapped(values, column.wraps, excursions(values, column.wraps))
         jumps = np.count_nonzero(np.abs(np.diff(found - values)) > 0.5 * column.wraps)
         remarks.append(
             f"{column.name}: unwrapped at {jumps} jumps by {column.wraps:.10g} (wraps in the "
             "signals file)"
         )
         return found, True
-    wrap = find_wrap(values)
     if wrap is None:
         return values, False
     rows = _listed([str(signals.rows.first + row) for row in wrap.rows])
-    if column.role in ("input", "excitation", "other") or (
-        column.role == "reference" and wrap.range is None
+    logged = round((wrap.range or 0.0) * abs(column.scale), 9)
+    count = f"at {len(wrap.rows)} rows ({rows})"
+    if column.role not in ("output", "reference") or (
+        column.role == "reference" and logged not in ranges
     ):
-        if column.role != "other":
-            remarks.append(
-                f"{column.name} jumps by {wrap.estimate:.6g} at {len(wrap.rows)} rows ({rows}), as "
-                "a saw-tooth or a wrapped angle does; it is kept as it is. If it is wrapped, set "
-                "wraps for this column"
-            )
-        return values, True
-    if wrap.range is None and len(wrap.rows) == 1:
-        remarks.append(
-            f"{column.name} jumps once, by {wrap.estimate:.6g} in row {rows}; it is kept. If the "
-            "sensor was set to zero there, import the rows before and after alone (key rows)"
+        note = (
+            f"jumps by {wrap.estimate:.6g} {count}, as a saw-tooth or a wrapped angle does; it is "
+            "kept as it is. If it is wrapped, set wraps for this column"
         )
-        return values, True
-    if wrap.range is None:
+    elif _caused(wrap.rows, inputs):
+        note = f"jumps by {wrap.estimate:.6g} where an input jumps, {count}; it is kept"
+    elif wrap.range is not None:
+        ranges.add(logged)
+        values = unwrapped(values, wrap.range, wrap.apart)
+        note = (
+            f"begins again after a range of {wrap.range:.6g}, as an angle or a counter does: "
+            f"unwrapped {count}; to keep the jumps, set wraps: none for this column"
+        )
+    elif len(wrap.rows) == 1:
+        note = (
+            f"jumps once, by {wrap.estimate:.6g} in row {rows}; it is kept. If the sensor was set "
+            "to zero there, import the rows before and after alone (key rows)"
+        )
+    else:
         raise _unknown_range(where, column, wrap, rows)
-    remarks.append(
-        f"{column.name} begins again after a range of {wrap.range:.6g}, as an angle or a counter "
-        f"does: unwrapped at {len(wrap.rows)} rows ({rows}); to keep the jumps, set wraps: none "
-        "for this column"
-    )
-    return unwrapped(values, wrap.range), True
+    if column.role != "other":
+        remarks.append(f"{column.name} {note}")
+    return values, True
 
 
 def _continued_clock(column: Column, values: Array, remarks: list[str]) -> Array:
@@ -171,27 +214,14 @@ def _unknown_range(where: str, column: Column, wrap: Wrap, rows: str) -> LogErro
     )
 
 
-def _extremes(column: Column, signals: SignalsFile, values: Array) -> list[str]:
-    """Return a remark on values of a signal that may jump, far beyond all others."""
-    rows = lone_extremes(values)
-    if not len(rows) or len(rows) > _MOST_LISTED:
-        return []
-    at = _listed([f"{values[row]:.6g} in row {signals.rows.first + row}" for row in rows])
-    return [
-        f"{column.name}: {at}: far beyond all other values; it is kept. If it is no pulse but a "
-        f"wrong value, list it in missing"
-    ]
-
-
-def _caused(row: int, found: Outliers, inputs: Sequence[Array]) -> bool:
-    """Return whether a spike follows a change of an input that is rare: a pulse, no noise."""
-    count = np.count_nonzero(found.spikes)
-    for values in inputs:
-        change = np.abs(np.diff(values))
-        near = change[max(row - _NEARBY, 0) : row + 1]
-        if not len(near) or not np.nanmax(np.append(near, 0.0)) > 0.0:
-            continue
-        if np.count_nonzero(change >= 0.5 * np.nanmax(near)) <= 3 * count:
+def _caused(rows: Sequence[int] | NDArray[np.int64], inputs: Sequence[Array]) -> bool:
+    """Return whether most jumps of an output begin soon after changes of an input that are rare."""
+    for values in inputs if len(rows) else ():
+        change = np.nan_to_num(np.abs(np.diff(values, prepend=values[:1])))
+        soon = maximum_filter1d(change, _AFTER + 1, origin=_AFTER // 2, mode="constant")
+        at = np.sort(soon[rows])
+        usual = at[len(at) // 4]  # three quarters of the rows follow a change of this size
+        if usual > 0.0 and np.mean(soon >= 0.5 * usual) <= _MOST_AFTER:
             return True
     return False
 

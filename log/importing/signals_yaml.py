@@ -36,7 +36,7 @@ class Column(Strict):
 
     `wraps`: the file's values begin again after this range, as an angle does after 360 degrees and
     a counter of 16 bit after 65536; `none` keeps such jumps. `outliers`: whether single values far
-    from their neighbours are left out.
+    from their neighbours are left out; if not given, only those that are certainly no readings.
     """
 
     column: Index | Annotated[str, Field(min_length=1)]
@@ -50,7 +50,7 @@ class Column(Strict):
     noise_sd: Positive | None = None
     resolution: NonNegative | None = None
     wraps: Positive | Literal["none"] | None = None
-    outliers: Literal["mask", "keep"] = "mask"
+    outliers: Literal["mask", "keep"] | None = None
 
     @field_validator("role", mode="before")
     @classmethod

@@ -27,6 +27,10 @@ _LEAST_VALUES = 6
 """Least number of different values: a signal of few levels jumps by design."""
 _TURNS = 4.0
 """Most motion over a jump, in those of the rows around it."""
+_LONGEST_EXCURSION = 5
+"""Most rows of values that leave a signal and return to it."""
+_LEAST_AT_ENDS = 6
+"""Least number of rows in the lowest and highest fifth of a signal that stays around its end."""
 _AROUND = 4
 """Rows before and after a jump that show how the signal moves."""
 _SAME_WAY = 0.7
@@ -37,20 +41,34 @@ _SAME_WAY = 0.7
 class Wrap:
     """Jumps of a signal by its range: the range, if it is a usual one, and the rows after jumps.
 
-    estimate: the range as the motion around the jumps gives it. error: its uncertainty.
+    estimate: the range as the motion around the jumps gives it. error: its uncertainty. apart (N,):
+    rows that left the signal for a few rows and had to be left out to find the jumps.
     """
 
     range: float | None
     estimate: float
     error: float
     rows: NDArray[np.int64]
+    apart: NDArray[np.bool_]
 
 
-def unwrapped(values: Array, wrap_range: float) -> Array:
-    """Return values (N,), NaN where missing, without jumps of more than half the range."""
+def unwrapped(values: Array, wrap_range: float, apart: NDArray[np.bool_]) -> Array:
+    """Return values (N,), NaN where missing, without jumps of more than half the range.
+
+    apart (N,): rows that may be no readings. They turn no other row; those beyond the range of
+    the others are put far away, where they are outliers.
+    """
     known = ~np.isnan(values)
+    usual = known & ~apart
     found = values.copy()
-    found[known] = np.unwrap(values[known], period=wrap_range)
+    if not usual.any():
+        return found
+    found[usual] = np.unwrap(values[usual], period=wrap_range)
+    other = np.flatnonzero(known & ~usual)
+    near = np.interp(other, np.flatnonzero(usual), found[usual])
+    found[other] += wrap_range * np.round((near - found[other]) / wrap_range)
+    beyond = (values[other] < np.min(values[usual])) | (values[other] > np.max(values[usual]))
+    found[other[beyond]] = np.max(found[usual]) + 10.0 * np.ptp(found[usual])
     return found
 
 
@@ -59,8 +77,48 @@ def find_wrap(values: Array) -> Wrap | None:
 
     A wrapped signal jumps by nearly its whole range, always by the same amount once the motion from
     row to row is taken into account, and moves on in its direction: up, a jump down, up again. A
-    square wave stands still before and after a jump.
+    square wave stands still before and after a jump. If there are wrong values as well, the jumps
+    are those that remain without all values that leave the signal and return to it.
     """
+    none = np.zeros(len(values), bool)
+    found = _find_wrap(values, none)
+    if found is None or found.range is None:
+        apart = excursions(values)
+        if apart.any():
+            again = _find_wrap(np.where(apart, np.nan, values), apart)
+            if again is not None and (found is None or again.range is not None):
+                return again
+    return found
+
+
+def excursions(values: Array, wrap_range: float | None = None) -> NDArray[np.bool_]:
+    """Return rows (N,) that differ by a tenth of the range from those before and after them.
+
+    wrap_range: differences are those of angles; without it, the range is that of the values.
+    """
+    at = np.flatnonzero(~np.isnan(values))
+    known = values[at]
+    found = np.zeros(len(values), bool)
+    if not len(known):
+        return found
+    spread = wrap_range or float(np.ptp(np.quantile(known, [0.01, 0.99])))
+
+    def difference(a: Array, b: Array) -> Array:
+        turns = 0.0 if wrap_range is None else wrap_range * np.round((a - b) / wrap_range)
+        return np.asarray(np.abs(a - b - turns))
+
+    for length in range(1, _LONGEST_EXCURSION + 1):
+        before, after = known[: -length - 1], known[length + 1 :]
+        inside = [known[1 + i : len(known) - length + i] for i in range(length)]
+        height = np.min([difference(value, before) for value in inside], axis=0)
+        returns = difference(after, before) < 0.25 * height
+        begins = np.flatnonzero((height > 0.1 * spread) & returns)
+        for i in range(length):
+            found[at[begins + 1 + i]] = True
+    return found
+
+
+def _find_wrap(values: Array, apart: NDArray[np.bool_]) -> Wrap | None:
     at = np.flatnonzero(~np.isnan(values))
     known = values[at]
     if len(known) < 3 * _AROUND or len(np.unique(known)) < _LEAST_VALUES:
@@ -84,14 +142,19 @@ def find_wrap(values: Array) -> Wrap | None:
     usual = _usual_range(estimate, error, spread)
     along = sign * motion
     clear = np.abs(along) > rough
-    moves_on = bool(np.any(clear)) and np.mean(along[clear] > 0.0) >= _SAME_WAY
+    # A spike jumps and jumps back.
+    stays = np.diff(jumps, append=len(steps)) > _LONGEST_EXCURSION
+    stays |= np.append(sign[:-1] == sign[1:], True)
+    moves_on = bool(np.any(clear & stays)) and np.mean(along[clear] > 0.0) >= _SAME_WAY
     # A signal may also stay around the end of its range; only a usual range tells it from steps.
     dithers = (
         usual is not None
         and 2 * np.count_nonzero(clear) < len(clear)
-        and _at_ends(rough, steps[~is_jump], estimate, spread)
+        and _at_ends(known, rough, steps[~is_jump], estimate)
     )
-    return Wrap(usual, estimate, error, at[jumps + 1]) if moves_on or dithers else None
+    if not (moves_on or dithers):
+        return None
+    return Wrap(usual, estimate, error, at[jumps + 1], apart)
 
 
 def _motion(
@@ -108,10 +171,12 @@ def _motion(
     return motion, rough
 
 
-def _at_ends(rough: Array, others: Array, estimate: float, spread: float) -> bool:
-    """Return whether a signal jumps from its lowest to its highest value, but for its noise."""
-    moved = np.abs(others[others != 0.0])
-    if not len(moved):
+def _at_ends(known: Array, rough: Array, others: Array, estimate: float) -> bool:
+    """Return whether a signal is at both its ends, and jumps between them but for its noise."""
+    moved, spread = np.abs(others[others != 0.0]), float(np.ptp(known))
+    low = np.count_nonzero(known < known.min() + 0.2 * spread)
+    high = np.count_nonzero(known > known.max() - 0.2 * spread)
+    if not len(moved) or min(low, high) < _LEAST_AT_ENDS:
         return False
     return abs(estimate - spread) <= _TURNS * float(np.median(moved) + np.median(rough))
 

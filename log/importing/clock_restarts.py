@@ -1,6 +1,8 @@
-"""Continue clocks that begin again, as at midnight or when a timer overflows."""
+"""Continue clocks that begin again, as at midnight; leave out rows that were written twice."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +22,28 @@ _FAR = 10.0
 _MOST_WRONG = 0.01
 """Largest share of wrong time stamps."""
 _MOSTLY = 0.9
-"""Least share of regular steps after sorting: the rows are out of order then."""
-_MOST_BACK = 0.01
-"""Largest share of steps back in a record of a clock that begins again."""
+"""Least share of regular steps after sorting, if rows are out of order."""
+_UNSORTED = 0.01
+"""Least share of steps back in rows that are not sorted."""
+
+
+def written_once(columns: Sequence[Array], times: Sequence[Array]) -> Index:
+    """Return the rows of columns, each (N,), without those that repeat an earlier one.
+
+    All rows are returned if one of `times`, each (N,), increases from row to row already, or none
+    does without the repeated ones.
+    """
+
+    def increase(rows: Index | slice) -> bool:
+        return any(bool(np.all(np.diff(time[rows]) > 0.0)) for time in times)
+
+    every = np.arange(len(columns[0]))
+    if increase(slice(None)):
+        return every
+    table = np.ascontiguousarray(np.stack(columns, axis=1))
+    _, first = np.unique(table.view(f"V{table.strides[0]}"), return_index=True)
+    rows = np.sort(first)
+    return rows if increase(rows) else every
 
 
 def continuous_time(
@@ -49,11 +70,10 @@ def continuous_time(
             "reverse the order of the rows"
         )
     period_s = float(np.median(forward))
-    range_s = _clock_range(-steps[back], period_s, unit_s)
+    range_s = _clock_range(time_s, -steps[back], period_s, unit_s)
     again = np.abs(time_s[back + 1] - time_s[0]) < 0.5 * period_s
-    if range_s is None or len(back) > max(1.0, _MOST_BACK * len(steps)) or again.all():
-        _refuse(where, time_s, row, back, period_s, unit_s, begins_again=bool(again.all()))
-        return time_s, remarks
+    if range_s is None or again.all():
+        raise _goes_back(where, time_s, row, back, period_s, unit_s)
     turns = np.zeros(len(time_s))
     turns[back + 1] = range_s
     count = "" if len(back) == 1 else f" and {len(back) - 1} more"
@@ -64,54 +84,47 @@ def continuous_time(
     return time_s + np.cumsum(turns), remarks
 
 
-def _clock_range(back_s: Array, period_s: float, unit_s: float) -> float | None:
-    """Return the usual range of a clock that turns all steps back into steps of few periods."""
+def _clock_range(time_s: Array, back_s: Array, period_s: float, unit_s: float) -> float | None:
+    """Return the usual range of a clock that turns all steps back into steps of few periods.
+
+    All stamps of such a clock lie within its range.
+    """
     timers = {2.0**bits * tick for bits in _TIMER_BITS for tick in (unit_s, *_TICKS_S)}
     for range_s in sorted({*_DAYS_S, *timers}):
         step = range_s - back_s
-        if np.all((step > 0.0) & (step < _LONGEST_STEP * period_s)):
+        if np.ptp(time_s) <= range_s and np.all((step > 0.0) & (step < _LONGEST_STEP * period_s)):
             return range_s
     return None
 
 
-def _refuse(
-    where: str,
-    time_s: Array,
-    row: Index,
-    back: Index,
-    period_s: float,
-    unit_s: float,
-    *,
-    begins_again: bool,
-) -> None:
-    """Raise LogError with the remedy for a clock that goes back; return if the rows are unsorted.
-
-    The time grid reports unsorted rows, and stamps that are rounded.
-    """
-    steps_s = np.diff(time_s)[back]
+def _goes_back(
+    where: str, time_s: Array, row: Index, back: Index, period_s: float, unit_s: float
+) -> LogError:
+    """Return the error for a clock that goes back, with the remedy for its kind."""
+    step_s, at = -np.diff(time_s)[back], row[back[0] + 1]
+    found = f"a step back by {step_s[0]:.6g} s in row {at}"
     ordered = np.diff(np.sort(time_s))
-    regular = np.mean(np.abs(ordered - period_s) < 0.2 * period_s) > _MOSTLY
-    shuffled = regular and len(back) > _MOST_BACK * len(time_s)
-    if not begins_again and (shuffled or -steps_s.min() < _FAR * period_s):
-        return
-    range_s = -steps_s + period_s
-    same = bool(np.all(np.abs(range_s - np.median(range_s)) < 0.5 * period_s))
-    at = row[back[0] + 1]
-    value = float(np.median(range_s)) / unit_s
     alone = f"rows: {{first: {row[0]}, last: {row[back[0]]}}} and rows: {{first: {at}}}"
-    if begins_again:
+    several = f"import each alone ({alone}{', ...' if len(back) > 1 else ''})"
+    again = bool(np.all(np.abs(time_s[back + 1] - time_s[0]) < 0.5 * period_s))
+    regular = np.mean(np.abs(ordered - period_s) < 0.2 * period_s) > _MOSTLY
+    range_s = step_s + period_s
+    if again:
         found = f"times that begin again at {time_s[0]:.6g} s in row {at}"
+        remedy = f"if records follow each other, {several}"
+    elif len(back) > _UNSORTED * len(time_s) and (regular or step_s.max() < _FAR * period_s):
+        remedy = "sort the rows by their time"
     else:
-        found = f"a step back by {-steps_s[0]:.6g} s in row {at}"
+        remedy = (
+            f"if records follow each other, {several}; if the clock was set back while all rows "
+            "were sampled regularly, set rate_hz and give this column the role other"
+        )
+        if np.all(np.abs(range_s - np.median(range_s)) < 0.5 * period_s):
+            value = float(np.median(range_s)) / unit_s
+            remedy += f", or set wraps: {value:.10g} for this column, which adds it at each step"
     more = f" and in {len(back) - 1} more rows" if len(back) > 1 else ""
-    wraps = (
-        f"; if the clock begins again or was set back, set wraps: {value:.10g} for this column"
-        if same
-        else ""
-    )
-    raise LogError(
-        f"{where}: expected times that increase from row to row, found {found}{more}; if records "
-        f"follow each other, import each alone ({alone}{', ...' if more else ''}){wraps}"
+    return LogError(
+        f"{where}: expected times that increase from row to row, found {found}{more}; {remedy}"
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...config.escaping import MOST_NAME, one_line
 from ...config.units import known_unit
 from ..errors import LogError
-from .clock_restarts import continuous_time
+from .clock_restarts import continuous_time, written_once
 from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
 from .header_units import header_unit
 from .number_cells import NumberFormat
@@ -149,6 +149,10 @@ def _time(
         for c in found.columns
     ]
     rate_hz = found.rate[1] if found.rate else None
+    whole = [each for each in values if len(each)]
+    if whole:
+        rows = written_once(whole, whole)
+        values = [each[rows] if len(each) else each for each in values]
     clocks = find_clock(named, values, rate_hz)
     if clocks and clocks[0].unknown:
         rates = [f"{u} for {_rate_hz(path, clocks, values, f):.4g} Hz" for u, f in _TIME_UNITS]

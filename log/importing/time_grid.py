@@ -31,6 +31,8 @@ _COARSE = 0.25
 """Resolution of stamps, in periods, above which steps between rows do not count periods."""
 _MOST_RESOLUTION = 2.0
 """Coarsest resolution of stamps that is recognised, in periods."""
+_SECTIONS = 4
+"""Sections of the data whose resolution is determined."""
 _MOST_DRIFT = 0.1
 """Largest error at the end of the data, in periods, of a rate that is rounded to few digits."""
 
@@ -95,7 +97,9 @@ class TimeGrid:
 def fit_grid(
     where: str, time_s: Array, row: Index, stated_period_s: float | None = None
 ) -> TimeGrid:
-    """Fit a uniform grid to time stamps (N,) in s; `row` (N,) are their rows in the file.
+    """Fit a uniform grid to time stamps (N,) in s, which do not decrease.
+
+    `row` (N,) are their rows in the file.
 
     The rate follows from the whole record, not from single steps: stamps that are rounded to about
     a period step by other amounts. Rows are missing only if the stamps do not fit a grid without
@@ -119,10 +123,12 @@ def fit_grid(
     ):
         rough_s = stated_period_s
     if rough_s > 0.0:
-        resolution_s = max(resolution_s, _resolution(time_s, rough_s))
+        # Stamps with few digits become coarser as they grow.
+        for some in np.array_split(time_s, _SECTIONS):
+            resolution_s = max(resolution_s, _resolution(some - some[0], rough_s))
     coarsest_s = _MOST_RESOLUTION * rough_s if stated_period_s is None else np.inf
-    equal_allowed = 0.5 * rough_s < resolution_s <= coarsest_s and rough_s > 0.0
-    _check_order(where, time_s, row, equal_allowed=equal_allowed)
+    if not 0.5 * rough_s < resolution_s <= coarsest_s or rough_s <= 0.0:
+        _check_order(where, steps, row)
     whole = _without_missing_rows(time_s, resolution_s, (rough_s, stated_period_s))
     if whole is not None:
         return whole
@@ -151,24 +157,16 @@ def fit_grid(
     return TimeGrid(_rounded(period_s, len(time_s)), tuple(parts), jitter, resolution_s)
 
 
-def _check_order(where: str, time_s: Array, row: Index, *, equal_allowed: bool) -> None:
-    steps = np.diff(time_s)
-    wrong = np.flatnonzero(steps < 0.0 if equal_allowed else steps <= 0.0)
-    if not len(wrong):
-        return
-    before, after = row[wrong[0]], row[wrong[0] + 1]
-    step_s = steps[wrong[0]]
-    if step_s == 0.0:
-        found = (
-            f"the same time in rows {before} and {after}; delete one of these rows, or, if the "
-            "stamps are those of blocks of rows, set rate_hz and give the time the role other"
+def _check_order(where: str, steps: Array, row: Index) -> None:
+    same = np.flatnonzero(steps <= 0.0)
+    if len(same):
+        more = f" and {len(same) - 1} more" if len(same) > 1 else ""
+        raise LogError(
+            f"{where}: expected times that increase from row to row, found the same time and other "
+            f"values in rows {row[same[0]]} and {row[same[0] + 1]}{more}; if all rows were sampled "
+            "regularly, as where a computer writes blocks of rows, set rate_hz and give this "
+            "column the role other; if not, delete one row of each pair"
         )
-    else:
-        found = (
-            f"a step back by {-step_s:.6g} s from row {before} to {after}; sort the rows, or "
-            "import those before and after it separately (key rows)"
-        )
-    raise LogError(f"{where}: expected times that increase from row to row, found {found}")
 
 
 def _rough_period(time_s: Array) -> float:

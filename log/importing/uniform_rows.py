@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...config.units import known_unit
 from ..errors import LogError
-from .clock_restarts import continuous_time
+from .clock_restarts import continuous_time, written_once
 from .gap_filling import FilledPart, GapFiller, runs
 from .irregular_times import irregular_error, resample
 from .signals_yaml import Column, SignalsFile
@@ -86,6 +86,10 @@ def uniform_rows(where: str, signals: SignalsFile, columns: Sequence[Array]) -> 
     remarks = []
     if not stamped.all():
         remarks.append(f"{np.count_nonzero(~stamped)} rows without a time are left out")
+    once = written_once([time_s, *values.T], [time_s])
+    if len(once) < len(row):
+        remarks.append(f"{len(row) - len(once)} rows that repeat an earlier row are left out")
+        time_s, values, row = time_s[once], values[once], row[once]
     time_s, more = continuous_time(named, time_s, row, factors[0] * abs(times[0].scale))
     remarks += more
     if len(at) == 1:

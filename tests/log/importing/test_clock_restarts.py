@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from levid.log.errors import LogError
+from levid.log.importing.draft_signals import draft_signals
 from levid.log.importing.importer import import_file
 from levid.log.reader import read_log
 
@@ -50,6 +51,7 @@ def of_day(seconds):
         (times(2**32, 2**32 - 500_000, 1000, "%.0f"), "us", "4294.967296 s"),
         (times(2**32 * 1e-6, 4294.5, 1e-3, "%.6f"), "s", "4294.967296 s"),
         (times(2**24, 16_700_000, 1000, "%.0f"), "us", "16.777216 s"),
+        (times(2**16, 60_000, 1000, "%.0f"), "us", "0.065536 s"),
     ],
 )
 def test_clock_that_begins_again_goes_on(tmp_path, stamps, unit, range_text):
@@ -71,6 +73,9 @@ def test_clock_that_begins_again_goes_on(tmp_path, stamps, unit, range_text):
         (np.arange(N)[::-1], "reverse the order of the rows"),
         (np.where(np.arange(N) % 10 == 3, np.arange(N) - 2.5, np.arange(N)), "sort the rows"),
         (np.arange(N) - 150.0 * (np.arange(N) > 900), r"set wraps: 0\.15 for this column"),
+        # 16.8 ms, the range of a timer of 24 bit that counts ns, is no range of these stamps.
+        (np.arange(N) - 16.0 * (np.arange(N) > 900), r"set back .* set rate_hz .* role other"),
+        (np.arange(N) - 1.0 * (np.arange(N) > 900), r"same time .* set rate_hz .* role other"),
     ],
 )
 def test_remedy_for_time_that_goes_back_is_right(tmp_path, stamps, expected_error):
@@ -92,6 +97,30 @@ def test_single_wrong_stamp_is_replaced(tmp_path):
     assert "wrong time stamps replaced by the mean of their neighbours: 700 s in row 700" in (
         found.notes
     )
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        np.repeat(np.arange(N), 2),
+        np.sort(np.append(np.arange(N), [500, 501, 1000])),
+        np.concatenate([np.arange(1000), np.arange(936, N)]),  # a buffer written twice
+    ],
+)
+def test_rows_written_twice_are_imported_once(tmp_path, rows):
+    data = tmp_path / "a.csv"
+    data.write_text("t;u;y\n" + "".join(f"{k / 1000:.3f};{U[k]};{Y[k]}\n" for k in rows.tolist()))
+    assert "The time column gives the rate, 1000 Hz." in draft_signals(data).text
+    (tmp_path / "a.yaml").write_text(HEAD + COLUMNS % ("s", ""))
+    found = import_file(data, tmp_path / "a.yaml", tmp_path / "a.mcap")
+    assert (found.rate_hz, found.rows) == (1000.0, N)
+    assert f"{len(rows) - N} rows that repeat an earlier row are left out" in found.notes
+
+
+def test_stamps_with_six_digits_are_accepted(tmp_path):
+    """As printf("%g") writes them: to 1 ms before 1000 s, to 10 ms after it."""
+    found = imported(tmp_path, [f"{995 + 5e-3 * k:g}" for k in range(N)])
+    assert (found.rate_hz, found.rows) == (200.0, N)
 
 
 def test_stamps_with_offsets_are_utc(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -51,35 +52,50 @@ def irregular_error(where: str, time_s: Array, grid: TimeGrid) -> LogError:
     )
 
 
+@dataclass(frozen=True)
+class _Samples:
+    """Times (n,) in s and values (n,) of one column, and where its long steps cut them."""
+
+    at: Array
+    values: Array
+    limit_s: float
+    bounds: tuple[tuple[int, int], ...]
+
+    @property
+    def longest(self) -> slice:
+        """Rows of the longest part."""
+        return slice(*max(self.bounds, key=lambda bound: bound[1] - bound[0]))
+
+    def around(self, begin_s: float, end_s: float) -> slice:
+        """Return the rows of the part that holds the times from begin to end."""
+        inside = [b for b in self.bounds if self.at[b[0]] <= begin_s and end_s <= self.at[b[1] - 1]]
+        return slice(*inside[0]) if inside else slice(None)
+
+
 def resample(
     where: str, signals: SignalsFile, time_s: Array, values: Array, row: Index
 ) -> Resampled:
     """Return values (N, C), measured at times (N,) in s, at a constant rate.
 
-    `row` (N,) are the rows in the file.
+    `row` (N,) are the rows in the file. Each column has the times of the rows in which it has a
+    value: several messages of a bus, each with times of its own, may be in one file.
 
-    The rate is `rate_hz`, else that of the short steps, at most twice that of the median step.
-    Inputs that are held (zoh) become their mean over each period, which keeps their area; inputs
-    with foh are interpolated linearly. All other signals are interpolated by cubic splines or
-    linearly, whichever restores rows that are left out more accurately. Steps much longer than the
-    others split the data.
+    The rate is `rate_hz`, else that of the short steps of the fastest column, at most twice that of
+    its median step. Inputs that are held (zoh) become their mean over each period, which keeps
+    their area; inputs with foh are interpolated linearly. All other signals are interpolated by
+    cubic splines or linearly, whichever restores rows that are left out more accurately. Steps much
+    longer than the others of a column split the data.
 
     Raises:
         LogError: rows with the same time, too few rows, or a rate far above that of the rows.
     """
+    time_s = time_s - time_s[0]
     used = [i for i, c in enumerate(signals.columns) if c.role not in ("time", "other")]
-    complete = ~np.isnan(values[:, used]).any(axis=1)
-    remarks = []
-    if not complete.all():
-        remarks.append(f"{np.count_nonzero(~complete)} rows with missing values are left out")
-    time_s, values, row = time_s[complete] - time_s[0], values[complete], row[complete]
-    steps = np.diff(time_s)
-    if len(steps) < _MIN_ROWS or not steps.min() > 0.0:
-        raise LogError(
-            f"{where}: resample: expected {_MIN_ROWS} or more complete rows at different times, "
-            f"found {len(time_s)} rows, {np.count_nonzero(steps <= 0.0)} of them at the time of "
-            "the row before"
-        )
+    samples = {
+        i: _samples(f"{where}: resample: {signals.columns[i].name}", time_s, values[:, i])
+        for i in used
+    }
+    steps = min((np.diff(each.at) for each in samples.values()), key=np.median)
     usual_hz = 1.0 / float(np.median(steps))
     rate_hz = signals.rate_hz or _default_rate_hz(steps)
     if rate_hz > _MOST_RATE * usual_hz:
@@ -87,40 +103,71 @@ def resample(
             f"{where}: rate_hz: expected at most {_MOST_RATE:g} times the rate of the rows, "
             f"{usual_hz:.4g} Hz, found {rate_hz:g} Hz"
         )
-    limit_s = _LONG_STEP * float(np.quantile(steps, 0.95, method="lower"))
-    cuts = np.flatnonzero(steps > limit_s) + 1
-    edges = [0, *cuts.tolist(), len(time_s)]
-    bounds = [b for b in pairwise(edges) if b[1] - b[0] >= _MIN_ROWS]
-    test = slice(*max(bounds, key=lambda b: b[1] - b[0])) if bounds else slice(0, len(time_s))
-    methods = {
-        i: _method(signals, column, time_s[test], values[test, i])
-        for i, column in enumerate(signals.columns)
-    }
-    parts = []
-    periods = sum(time_s[end - 1] - time_s[first] for first, end in bounds) * rate_hz
+    spans = _common_spans(tuple(samples.values()))
+    periods = sum(end - begin for begin, end in spans) * rate_hz
     if periods > _MOST_ROWS * len(time_s):
         raise LogError(
             f"{where}: resample: expected at most {_MOST_ROWS:g} periods for each row, found "
             f"{periods / len(time_s):.3g} at {rate_hz:g} Hz: most rows are far apart; set a lower "
             "rate_hz, or import the dense rows alone (key rows)"
         )
-    for first, end in bounds:
-        at = time_s[first:end]
-        place = np.arange(np.ceil(at[0] * rate_hz - 1e-6), np.floor(at[-1] * rate_hz + 1e-6))
-        columns = [
-            _resampled(column, at, values[first:end, i], place, rate_hz, methods[i][0])
-            for i, column in enumerate(signals.columns)
-        ]
-        if len(place):
-            before = first + np.searchsorted(at, place / rate_hz, side="right") - 1
-            parts.append((int(place[0]), np.stack(columns, axis=1), row[np.maximum(before, first)]))
-    remarks += _remarks(signals, rate_hz, usual_hz, steps, methods)
-    if len(cuts):
-        remarks.append(
-            f"{len(cuts)} steps between rows are longer than {limit_s:.3g} s: the data are split "
-            "there"
-        )
+    methods = {i: _method(signals, signals.columns[i], each) for i, each in samples.items()}
+    parts = []
+    for begin, end in spans:
+        place = np.arange(np.ceil(begin * rate_hz - 1e-6), np.floor(end * rate_hz + 1e-6) + 1.0)
+        to = place / rate_hz
+        table = np.empty((len(to), values.shape[1]))
+        for i in range(values.shape[1]):
+            if i in samples:
+                near = samples[i].around(begin, end)
+                at, known = samples[i].at[near], samples[i].values[near]
+                table[:, i] = _resampled(at, known, to, rate_hz, methods[i][0])
+            else:
+                known = ~np.isnan(values[:, i])
+                table[:, i] = (
+                    np.interp(to, time_s[known], values[known, i]) if known.any() else np.nan
+                )
+        before = np.searchsorted(time_s, to, side="right") - 1
+        parts.append((int(place[0]), table, row[np.maximum(before, 0)]))
+    remarks = _remarks(signals, rate_hz, usual_hz, steps, methods)
+    for i, each in samples.items():
+        name, lost = signals.columns[i].name, len(time_s) - len(each.at)
+        if lost:
+            remarks.append(f"{name}: {lost} of {len(time_s)} rows have no value of it")
+        if len(each.bounds) > 1:
+            remarks.append(
+                f"{name}: {len(each.bounds) - 1} steps between rows are longer than "
+                f"{each.limit_s:.3g} s: the data are split there"
+            )
     return Resampled(rate_hz, tuple(parts), tuple(remarks))
+
+
+def _samples(where: str, time_s: Array, values: Array) -> _Samples:
+    known = ~np.isnan(values)
+    at, steps = time_s[known], np.diff(time_s[known])
+    if len(steps) < _MIN_ROWS or not steps.min() > 0.0:
+        raise LogError(
+            f"{where}: expected values in {_MIN_ROWS} or more rows at different times, found "
+            f"{len(at)} rows, {np.count_nonzero(steps <= 0.0)} of them at the time of the row "
+            "before"
+        )
+    limit_s = _LONG_STEP * float(np.quantile(steps, 0.95, method="lower"))
+    edges = [0, *(np.flatnonzero(steps > limit_s) + 1).tolist(), len(at)]
+    return _Samples(at, values[known], limit_s, tuple(pairwise(edges)))
+
+
+def _common_spans(samples: Sequence[_Samples]) -> list[tuple[float, float]]:
+    """Return begin and end in s of the times without a long step of any column."""
+    spans = [(-np.inf, np.inf)]
+    for each in samples:
+        own = [
+            (each.at[first], each.at[end - 1])
+            for first, end in each.bounds
+            if end - first >= _MIN_ROWS
+        ]
+        both = [(max(a, c), min(b, d)) for a, b in spans for c, d in own]
+        spans = [(float(begin), float(end)) for begin, end in both if begin < end]
+    return spans
 
 
 def _default_rate_hz(steps: Array) -> float:
@@ -133,33 +180,27 @@ def _default_rate_hz(steps: Array) -> float:
     return float(f"{rate_hz:.2g}")
 
 
-def _method(
-    signals: SignalsFile, column: Column, time_s: Array, values: Array
-) -> tuple[Method | None, float]:
+def _method(signals: SignalsFile, column: Column, samples: _Samples) -> tuple[Method | None, float]:
     """Return how a column is interpolated, None for the mean over a period, and the error."""
-    if column.role in ("time", "other"):
-        return "linear", 0.0
     held = column.role in ("input", "excitation")
     if held and signals.input_hold == "zoh":
         return None, 0.0
+    values = samples.values[samples.longest]
     left_out = np.arange(len(values)) % 2 == 1
     left_out[-1] = False
     foh = held and signals.input_hold == "foh"
-    return best_method(time_s, values, left_out, _METHODS[1:] if foh else _METHODS)
+    methods = _METHODS[1:] if foh else _METHODS
+    return best_method(samples.at[samples.longest], values, left_out, methods)
 
 
-def _resampled(
-    column: Column, at: Array, values: Array, place: Array, rate_hz: float, method: Method | None
-) -> Array:
-    to = place / rate_hz
-    if method is None:
-        area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(at))])
-        edges = np.append(to, to[-1:] + 1.0 / rate_hz)
-        return np.asarray(np.diff(np.interp(edges, at, area)) * rate_hz)
-    known = ~np.isnan(values)
-    if column.role == "other" and not known.any():
-        return np.full(len(to), np.nan)
-    return interpolate(at[known], values[known], to, method)
+def _resampled(at: Array, values: Array, to: Array, rate_hz: float, method: Method | None) -> Array:
+    if method is not None:
+        return interpolate(at, values, to, method)
+    # The last value is held as well.
+    at = np.append(at, at[-1] + 1.0 / rate_hz)
+    area = np.concatenate([[0.0], np.cumsum(values * np.diff(at))])
+    edges = np.append(to, to[-1:] + 1.0 / rate_hz)
+    return np.asarray(np.diff(np.interp(edges, at, area)) * rate_hz)
 
 
 def _remarks(
@@ -175,11 +216,11 @@ def _remarks(
         f"resampled to {rate_hz:g} Hz; 95 % intervals of an identification do not include the "
         "interpolation error"
     ]
-    for i, column in enumerate(signals.columns):
-        method, error = methods[i]
+    for i, (method, error) in methods.items():
+        column = signals.columns[i]
         if method is None:
             remarks.append(f"{column.name}: resampled to the mean of the held input in each period")
-        elif column.role not in ("time", "other"):
+        else:
             doubt = ": too large, the rows are too far apart" if error > _DOUBTFUL_ERROR else ""
             remarks.append(
                 f"{column.name}: resampled by {method} interpolation; error below "

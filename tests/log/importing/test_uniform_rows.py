@@ -129,3 +129,21 @@ def test_long_steps_between_irregular_rows_split_the_data():
     assert found.parts[1].place - found.parts[0].place - len(found.parts[0].values) > 100
     with pytest.raises(LogError, match=r"rate_hz: expected at most 10 times the rate of the rows"):
         rows_of(WHITE, SMOOTH, time_s=time_s, resample=True, rate_hz=1e6)
+
+
+def test_columns_with_times_of_their_own_are_resampled_each():
+    """Two messages of a bus in one table, where each row has the values of one of them."""
+    time_s = np.sort(np.concatenate([TIME_S, TIME_S + 0.3e-3]))
+    first = np.arange(2 * N) % 2 == 0
+    u = np.where(first, np.repeat(WHITE, 2), np.nan)
+    y = np.where(first, np.nan, np.sin(2 * np.pi * 7.0 * time_s))
+    with pytest.raises(LogError, match="set resample: true"):
+        rows_of(u, y, time_s=time_s)
+    found = rows_of(u, y, time_s=time_s, resample=True)
+    (part,) = found.parts
+    assert found.rate_hz == 1000.0
+    # The values of u are held from the first row with a value of both on.
+    np.testing.assert_allclose(part.values[:, 0], WHITE[part.place : part.place + len(part.values)])
+    at_s = (part.place + np.arange(len(part.values))) / 1000.0
+    assert np.abs(part.values[:, 1] - np.sin(2 * np.pi * 7.0 * at_s)).max() < 1e-5
+    assert f"y: {N} of {2 * N} rows have no value of it" in found.remarks

@@ -50,7 +50,7 @@ class Export:
     """A file of an instrument, and what a user knows beside it.
 
     suffix: of the file's name. known: keys of the SIGNALS.yaml that the draft asks for, such as the
-    unit of the time.
+    unit of the time. tick_s: unit of the time if it is a counter.
     """
 
     suffix: str
@@ -58,6 +58,7 @@ class Export:
     force: Channel
     position: Channel
     known: tuple[tuple[str, object], ...] = ()
+    tick_s: float | None = None
 
 
 def motion(rows: int = 4000, seed: int = 1) -> Motion:
@@ -358,6 +359,39 @@ def saleae(m: Motion) -> Export:
     return Export(".csv", text.encode(), *_scope("Channel 0", "Channel 1"))
 
 
+def labview_segments(m: Motion) -> Export:
+    """LabVIEW: a head before each segment, a time for each channel, decimal commas."""
+    size, text = len(m.time_s) // 4, "LabVIEW Measurement\t\nX_Columns\tMulti\n"
+    text += "***End_of_Header***\t\n\t\n"
+    for begin in range(0, 4 * size, size):
+        part = slice(begin, begin + size)
+        t = m.time_s[part]
+        head = (
+            f"Channels\t2\t\t\t\nSamples\t{size}\t\t{size}\t\nDate\t2024/05/17\t\t2024/05/17\t\n"
+            f"Y_Unit_Label\tNewtons\t\tmm\t\nX0\t{t[0]:.7f}\t\t{t[0]:.7f}\t\n"
+            f"Delta_X\t{1 / RATE_HZ:.6f}\t\t{1 / RATE_HZ:.6f}\t\n***End_of_Header***\t\t\t\t\n"
+            "X_Value\tForce\tX_Value\tPosition\tComment\n"
+        )
+        text += head + _table([t, m.force_n[part], t, 1e3 * m.position_m[part]], "\t", "%.7f")
+    return Export(".lvm", _german(text).encode(), Channel("Force", 1.0), Channel("Position", 1e-3))
+
+
+def pandas_timedelta(m: Motion) -> Export:
+    """Pandas: durations as the index, which has no name."""
+    text = ",F [N],x [mm]\n"
+    for t, a, b in zip(m.time_s, m.force_n, 1e3 * m.position_m, strict=True):
+        text += f"0 days {timedelta(seconds=float(t))!s:0>8},{a:.7g},{b:.7g}\n"
+    return Export(".csv", text.encode(), Channel("F"), Channel("x"))
+
+
+def lock_in(m: Motion) -> Export:
+    """Zurich Instruments: a comment as header, time in ticks of a clock of 60 MHz."""
+    ticks = (123_456_789 + 60e6 * m.time_s).astype(np.int64).astype(str).tolist()
+    u, y = _volts(m)
+    text = "%% chunk;timestamp;aux0;aux1\n" + _table([["0"] * len(u), ticks, u, y], ";")
+    return Export(".csv", text.encode(), *_scope("aux0", "aux1"), tick_s=1 / 60e6)
+
+
 EXPORTS: dict[str, Callable[[Motion], Export]] = {
     f.__name__: f
     for f in (
@@ -365,6 +399,6 @@ EXPORTS: dict[str, Callable[[Motion], Export]] = {
         *(rohde_schwarz_rtb, picoscope, labview_lvm, dspace_controldesk, vector_canoe),
         *(matlab_timetable, hbm_catman, twincat_scope, siemens_trace, rostopic_echo),
         *(ros2_seconds_and_nanoseconds, dewesoft, drive_recorder, spreadsheet_time_of_day),
-        *(microcontroller, saleae),
+        *(microcontroller, saleae, labview_segments, pandas_timedelta, lock_in),
     )
 }

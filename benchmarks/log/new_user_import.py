@@ -36,6 +36,8 @@ def import_as_new_user(folder: Path, name: str, export: Export) -> tuple[Draft, 
     signals: dict[str, Any] = yaml.safe_load(draft.text)
     signals.update(export.known)
     for column in signals["columns"]:
+        if column["role"] == "time" and export.tick_s is not None:
+            column |= {"unit": "s", "scale": export.tick_s}
         for channel, role, field, unit in (
             (export.force, "input", "f_n", "N"),
             (export.position, "output", "x_m", "m"),

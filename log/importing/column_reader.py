@@ -145,6 +145,8 @@ class ColumnReader:
                 "; if it means that there is no value, list it in the signals file: "
                 f"missing: [{cell[:_SHOWN]!r}]"
             )
+        elif not remedy:
+            remedy = "; correct the cell, or empty it if its value is lost"
         return LogError(f"{where}: expected a number, found {cell[:_SHOWN]!r}{remedy}")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import difflib
+import itertools
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,9 @@ from .text_layout import Row, TextLayout, is_value, rows, text_layout
 
 _ENCODING_BYTES = 1 << 16
 """Bytes at the beginning of a file that decide its encoding: header and first rows."""
+
+_LONGEST_HEAD = 40
+"""Most lines of text between two segments of a file."""
 
 
 class TextColumns(NamedTuple):
@@ -147,9 +151,15 @@ def _read_rows(
     header_lines = set(layout.header_lines)
     first, end = signals.rows.first, signals.rows.end
     count, texts, notes = 0, [], []
+    head_end: int | None = 0
     for line, cells in lines:
         if count == end:
             break
+        if head_end is not None and line > head_end and _begins_with_text(cells, layout):
+            head_end = _next_header(path, layout, line)
+        if line <= (head_end or 0) or tuple(cells) in header_lines:
+            texts.append(line)
+            continue
         if len(cells) > layout.width and not any(cells[layout.width :]):
             pass  # a separator at the end of each line
         elif len(cells) != layout.width:
@@ -160,9 +170,6 @@ def _read_rows(
                 notes.append(f"line {line}, the last one, is not complete; it is left out")
                 break
             cells = _fitted(f"{path}: line {line}", cells, layout, last_place)  # noqa: PLW2901
-        elif tuple(cells) in header_lines:
-            texts.append(line)
-            continue
         if count >= first:
             for reader, place in places_of:
                 reader.read(line, cells[place])
@@ -180,8 +187,21 @@ def _read_rows(
 def _is_text(cells: list[str], layout: TextLayout) -> bool:
     """Return whether a line of another length is no row: a comment, an entry, a second header."""
     inside = [cells[i] for i in layout.numeric if i < len(cells)]
-    begins_with_text = 0 in layout.numeric and not (is_value(cells[0]) or is_missing(cells[0]))
-    return begins_with_text or not any(map(is_value, inside))
+    return _begins_with_text(cells, layout) or not any(map(is_value, inside))
+
+
+def _begins_with_text(cells: list[str], layout: TextLayout) -> bool:
+    return 0 in layout.numeric and not (is_value(cells[0]) or is_missing(cells[0]))
+
+
+def _next_header(path: Path, layout: TextLayout, line: int) -> int | None:
+    """Return where the header stands again soon after a line of text, as in files of segments.
+
+    None if it does not: the line is a row with a wrong cell.
+    """
+    with open_text(path) as file:
+        ahead = itertools.islice(rows(file, layout.separator, first=line), _LONGEST_HEAD)
+        return max((at for at, cells in ahead if tuple(cells) in layout.header_lines), default=None)
 
 
 def _last_line_is_cut(path: Path) -> bool:
@@ -195,7 +215,7 @@ def _fitted(where: str, cells: list[str], layout: TextLayout, last_place: int) -
     """Return the cells of a row in the layout's width; raise LogError if numbers lack or exceed."""
     if last_place < len(cells) < layout.width:
         return [*cells, *[""] * (layout.width - len(cells))]
-    remedy = ""
+    remedy = "; correct the line, or delete it if a column holds the times"
     if layout.separator == "," and len(cells) == 2 * layout.width:
         remedy = "; if commas are decimal commas, separate the columns by semicolons or tabs"
     raise LogError(

@@ -23,7 +23,7 @@ _TIMES = frozenset(
 _NO_TIMES = frozenset({"seq", "ref", "count", "constant", "settling", "rise", "execution", "cycle"})
 """Words that make it another quantity."""
 _WORDS = {
-    **dict.fromkeys(("volt", "volts"), "V"),
+    **dict.fromkeys(("volt", "volts", "vdc", "vac"), "V"),
     **dict.fromkeys(("amp", "amps", "ampere", "amperes"), "A"),
     **dict.fromkeys(("second", "seconds", "sec", "secs"), "s"),
     **dict.fromkeys(("millisecond", "milliseconds", "msec", "msecs"), "ms"),

@@ -30,6 +30,8 @@ _HEADER_LINES = 8
 """Most lines above the first row of numbers that may hold names or units of the columns."""
 _AHEAD = 10
 """Rows after the first one of a table that are mostly rows of numbers too."""
+_SPARSE = 0.05
+"""Least share of the rows in which a column has a number."""
 _FILLED = 0.6
 """Least share of the columns for which a header line has a text."""
 
@@ -139,14 +141,16 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
     trimmed = [_trimmed(cells) for _, cells in sample]
     kinds = [[is_value(cell) for cell in cells] for cells in trimmed]
     # The rows of the table end the sample: text above it may be long.
-    counts = Counter(len(kind) for kind in kinds[len(kinds) // 2 :] if any(kind))
-    if not counts:
+    ending = [i for i in range(len(kinds) // 2, len(kinds)) if any(kinds[i])]
+    if not ending:
         return _Table(separator, sample, len(sample), len(trimmed[-1]), (), 0.0)
-    usual = max(counts, key=counts.__getitem__)
-    late = [kind for kind in kinds[len(kinds) // 2 :] if len(kind) == usual]
-    numeric = tuple(i for i in range(usual) if 2 * sum(kind[i] for kind in late) > len(late))
+    # Of several messages in one file, rows have empty cells, at their end as well.
+    cells_in_row = Counter(len(sample[i][1]) for i in ending).most_common(1)[0][0]
+    usual = max(len(kinds[i]) for i in ending if len(sample[i][1]) == cells_in_row)
+    late = range(len(kinds) // 2, len(kinds))
+    numeric = tuple(i for i in range(usual) if _is_numeric(i, trimmed[late[0] :], kinds[late[0] :]))
     if not numeric:
-        numeric = tuple(i for i in range(usual) if any(kind[i] for kind in late))
+        numeric = tuple(i for i in range(usual) if any(i < len(k) and k[i] for k in kinds))
     fits = [
         len(cells) > numeric[-1] and _fits(shorter, kind, numeric)
         for (_, cells), shorter, kind in zip(sample, trimmed, kinds, strict=True)
@@ -158,6 +162,16 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
     filled = sum(bool(c) for t, fit in zip(trimmed, fits, strict=True) if fit for c in t)
     values = sum(sum(kind) for kind in inside)
     return _Table(separator, sample, start, usual, numeric, values * values / max(filled, 1))
+
+
+def _is_numeric(place: int, rows: Sequence[Sequence[str]], kinds: Sequence[Sequence[bool]]) -> bool:
+    """Return whether a column has numbers in some of the rows, and seldom text."""
+    filled = [
+        kind[place]
+        for cells, kind in zip(rows, kinds, strict=True)
+        if place < len(cells) and not is_missing(cells[place])
+    ]
+    return len(filled) >= _SPARSE * len(rows) and 2 * sum(filled) > len(filled)
 
 
 def _fits(cells: Sequence[str], kind: Sequence[bool], numeric: Sequence[int]) -> bool:
@@ -253,7 +267,8 @@ def _header_rows(table: _Table) -> tuple[int | None, int | None]:
         if filled < min(table.width, 2) and not _are_units(cells):
             break  # a title; names and units stand between it and the table
         lines[i] = cells
-        if filled >= _FILLED * len(columns):
+        words = table.separator is None and len(table.sample[i][1]) != table.width
+        if filled >= _FILLED * len(columns) and not words:
             full[i] = cells
     units = next((i for i, cells in lines.items() if _are_units(cells)), None)
     texts = [i for i, cells in full.items() if i != units and not all(map(is_value, cells))]

@@ -24,7 +24,10 @@ _CLOCK = (
 )
 """Hours, minutes and seconds, or minutes and seconds as spreadsheets show short times."""
 _ZONE = r"(?:\s*(?P<z>Z|UTC|GMT|[-+]\d{2}:?\d{2}))?"
-_STAMP = re.compile(rf"(?:{_DATE}(?:[T ]\s*|_|$))?(?:{_CLOCK}{_ZONE})?")
+_STAMP = re.compile(
+    rf"(?:{_DATE}(?:[T ]\s*|_|$)|(?P<days>\d+) days?,? (?=\d))?(?:{_CLOCK}{_ZONE})?"
+)
+"""A date, a time of day, or both; a duration such as `0 days 00:00:01.5`."""
 _HALF_DAY_H, _DAY_H = 12, 24
 _MOST_MINUTES = 60
 _ORIGIN = datetime(1970, 1, 1, tzinfo=UTC)
@@ -98,7 +101,13 @@ def _clock_s(found: re.Match[str]) -> float:
         hours = hours % _HALF_DAY_H + (_HALF_DAY_H if found["ap"] in "pP" else 0)
     if (found["y"] or found["a"]) and hours >= _DAY_H:
         raise ValueError(found.string)
-    return 3600.0 * hours + 60.0 * minutes + seconds + float(f"0.{found['f'] or 0}")
+    return (
+        86400.0 * int(found["days"] or 0)
+        + 3600.0 * hours
+        + 60.0 * minutes
+        + seconds
+        + float(f"0.{found['f'] or 0}")
+    )
 
 
 def _offset_s(zone: str | None) -> float:

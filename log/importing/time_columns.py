@@ -142,10 +142,16 @@ def _smallest_step(values: Array) -> float:
 
 
 def _may_be_time(column: NamedColumn) -> bool:
-    unit = known_unit(header_unit(column.unit) or column.unit) if column.unit else None
+    text = column.unit or _unit_in_place_of_name(column)
+    unit = known_unit(header_unit(text) or text) if text else None
     if unit is not None:
         return unit.si == "s"
     return column.dates or (not column.unit and is_time_name(column.name))
+
+
+def _unit_in_place_of_name(column: NamedColumn) -> str:
+    """Return the unit of a column that is called ms or us; "" for others: m and s are names too."""
+    return column.name if len(column.name) > 1 and header_unit(column.name) else ""
 
 
 def _is_first_clock(column: NamedColumn, values: Array) -> bool:
@@ -167,7 +173,7 @@ def _counts_rows(values: Array) -> bool:
 
 def _clock(index: int, column: NamedColumn, values: Array, rate_hz: float | None) -> ClockColumn:
     """Return a column with its unit: stated, of a word in its name, or of its values."""
-    stated = "s" if column.dates else header_unit(column.unit)
+    stated = "s" if column.dates else header_unit(column.unit or _unit_in_place_of_name(column))
     if stated is not None:
         return ClockColumn(index, stated)
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.name).lower()

@@ -14,8 +14,9 @@ MOTION = motion(rows=1600)
 
 @pytest.mark.parametrize("name", EXPORTS)
 def test_export_of_an_instrument_is_imported_as_it_was_measured(tmp_path, name):
-    draft, imported = import_as_new_user(tmp_path, name, EXPORTS[name](MOTION))
-    assert "FILL_IN" not in draft.text
+    export = EXPORTS[name](MOTION)
+    draft, imported = import_as_new_user(tmp_path, name, export)
+    assert ("FILL_IN" in draft.text) == (export.tick_s is not None)
     assert imported.rate_hz == pytest.approx(RATE_HZ, rel=1e-9)
     assert imported.warnings == ()
     ((path, rows),) = imported.logs

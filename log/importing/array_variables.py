@@ -37,6 +37,8 @@ _KINDS = {
     "V": "a structured array",
 }
 """Contents of arrays by the kind of their type."""
+DATES = frozenset({_KINDS["M"], _KINDS["m"]})
+"""Contents that are read as times."""
 _MOST_FULL_VALUES = 50_000_000
 """Most values of a sparse matrix that is filled with its zeros."""
 _LONGEST_TEXT = 100
@@ -146,8 +148,14 @@ def load_mat(path: Path) -> dict[str, Any]:
     except MemoryError:
         raise  # of the child process, which has a limit
     except Exception as error:  # noqa: BLE001 - damage makes scipy raise almost anything
-        raise LogError(f"{path}: not a usable MAT file: {error}") from None
+        remedy = "; in Octave, save it with save('-v7', ...)" if _is_of_octave(path) else ""
+        raise LogError(f"{path}: not a usable MAT file: {error}{remedy}") from None
     return {name: value for name, value in loaded.items() if not name.startswith("__")}
+
+
+def _is_of_octave(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(20).startswith(b"# Created by Octave")
 
 
 def _listed(path: str, value: object, depth: int = 0) -> Iterator[Variable]:
@@ -162,7 +170,8 @@ def _listed(path: str, value: object, depth: int = 0) -> Iterator[Variable]:
             yield from _listed(f"{path}({number})", element, depth + 1)
     elif (content := _content(value)) is not None:
         short = isinstance(value, str) and len(value) <= _LONGEST_TEXT
-        yield Variable(path, content=content, value=str(value) if short else None)
+        shape = np.asarray(value).shape if content in DATES else ()
+        yield Variable(path, shape, content, str(value) if short else None)
     else:
         array = np.asarray(value)
         yield Variable(path, array.shape, value=float(array.item()) if array.size == 1 else None)

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import LogError
-from .array_variables import MATLAB_OBJECT, Variable, list_variables, load_npz, read_variables
+from .array_variables import (
+    DATES,
+    MATLAB_OBJECT,
+    Variable,
+    list_variables,
+    load_npz,
+    read_variables,
+)
 from .delimited_text import open_text, read_delimited
 from .header_units import HeaderCell, header_cell
 from .importer import file_format
@@ -73,20 +80,25 @@ def list_columns(path: Path) -> FileColumns:
     return _array_columns(kind, variables)
 
 
-def read_columns(path: Path, found: FileColumns) -> list[Array]:
+def read_columns(path: Path, found: FileColumns) -> tuple[list[Array], str]:
     """Return the values of the columns, each (N,), in the units of the file, dates in s.
 
-    A column whose values cannot be read is empty.
+    A column whose values cannot be read is empty; the text says why, "" if all can be read.
     """
-    whole = _read_group(path, found, range(len(found.columns)))
-    if whole is not None:
-        return whole
-    each = [_read_group(path, found, [i]) for i in range(len(found.columns))]
-    return [np.empty(0) if read is None else read[0] for read in each]
+    try:
+        return _read_group(path, found, range(len(found.columns))), ""
+    except LogError as error:
+        reason = str(error)
+    each = []
+    for i in range(len(found.columns)):
+        try:
+            each += _read_group(path, found, [i])
+        except LogError:
+            each.append(np.empty(0))
+    return each, reason
 
 
-def _read_group(path: Path, found: FileColumns, group: Sequence[int]) -> list[Array] | None:
-    """Return some columns; None if one cannot be read: the import reports it with its line."""
+def _read_group(path: Path, found: FileColumns, group: Sequence[int]) -> list[Array]:
     entries = [
         {
             "column": found.columns[i].column,
@@ -107,16 +119,9 @@ def _read_group(path: Path, found: FileColumns, group: Sequence[int]) -> list[Ar
             "thousands": found.number_format.thousands,
         }
     )
-    try:
-        return _read(path, found.format, signals)
-    except LogError:
-        return None
-
-
-def _read(path: Path, kind: Format, signals: SignalsFile) -> list[Array]:
-    if kind in ("csv", "text"):
-        return read_delimited(path, signals, whitespace=kind == "text").values
-    if kind == "npz":
+    if found.format in ("csv", "text"):
+        return read_delimited(path, signals, whitespace=found.format == "text").values
+    if found.format == "npz":
         return read_variables(path, signals, load_npz(path))
     return read_mat(path, signals)
 
@@ -190,6 +195,10 @@ def _array_columns(kind: Format, variables: Sequence[Variable]) -> FileColumns:
     others: list[str] = []
     for variable in variables:
         shape = variable.shape
+        dates = variable.content in DATES and max(shape, default=0) == length
+        if dates and length and int(np.prod(shape)) == length:
+            columns.append(FileColumn(variable.path, variable.path, "s", dates=True))
+            continue
         if variable.content is None and length and len(shape) and max(shape) == length:
             label = labels.get(variable.path.rpartition(".")[0])
             last = variable.path.rpartition(".")[2]

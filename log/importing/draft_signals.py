@@ -20,6 +20,7 @@ from .header_units import header_unit
 from .number_cells import NumberFormat
 from .time_columns import ClockColumn, NamedColumn, combined_time_s, find_clock
 from .time_grid import TimeGrid, fit_grid
+from .wrapped_values import find_wrap
 
 Array = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ def draft_signals(path: Path) -> Draft:
     if not found.columns:
         listed = "; ".join(found.others[:20]) or "nothing"
         raise LogError(f"{path}: expected columns of numbers of one length, found {listed}")
-    values = read_columns(path, found)
+    values, damage = read_columns(path, found)
     clocks, rate_lines, fill_in = _time(path, found, values)
     entries = _entries(found.columns, values, clocks)
     sign_lines, open_signs = _signs(found)
@@ -97,11 +98,13 @@ def draft_signals(path: Path) -> Draft:
             for e in entries
         ]
         fill_in = (*fill_in, f"role: {' and '.join(missing)}; the columns without a role are other")
+    damage = f"check: {_quoted(damage.removeprefix(f'{path}: '))}" if damage else ""
     lines = [
         f"# Draft for {_quoted(path.name)}",
         "# Check the lines marked 'check', and complete the lines marked 'fill in'.",
         "# docs/configuration.md, section SIGNALS.yaml, describes all keys.",
         "levid: signals",
+        *([f"# {damage}"] if damage else []),
         *sign_lines,
         *rate_lines,
         *(["samples: columns"] if found.samples == "columns" else []),
@@ -117,7 +120,7 @@ def draft_signals(path: Path) -> Draft:
             *(f"#   {_quoted(other)}" for other in found.others),
         ]
     check = tuple(f"{e.name}: {e.doubt}" for e in entries if e.doubt.startswith("check"))
-    return Draft("\n".join(lines) + "\n", fill_in, check)
+    return Draft("\n".join(lines) + "\n", fill_in, (*([damage] if damage else []), *check))
 
 
 def _signs(found: FileColumns) -> tuple[list[str], tuple[str, ...]]:
@@ -156,8 +159,10 @@ def _time(
     clocks = find_clock(named, values, rate_hz)
     if clocks and clocks[0].unknown:
         rates = [f"{u} for {_rate_hz(path, clocks, values, f):.4g} Hz" for u, f in _TIME_UNITS]
-        name = found.columns[clocks[0].index].label
-        return clocks, [], (f"unit of {name}: {', '.join(rates)}",)
+        column = found.columns[clocks[0].index]
+        name = column.label or f"column {column.column}"
+        ticks = "s and scale: 1 / (counts per second) for another counter"
+        return clocks, [], (f"unit of {name}: {', '.join(rates)}, {ticks}",)
     if clocks:
         try:
             grid = _grid(path, clocks, values)
@@ -238,6 +243,9 @@ def _entries(
         if ending and not stem.endswith(f"_{ending}"):
             stem = f"{stem}_{ending}"
         span = _span(values[number], column.unit)
+        wrap = find_wrap(values[number])
+        if wrap is not None and wrap.range is not None:
+            span += f"; may begin again after {wrap.range:.10g} (key wraps)"
         entries.append(_Entry(column, _unique(stem, taken), unit, scale, role, doubt, span))
     return entries
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import hashlib
+import itertools
 import math
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -104,7 +105,7 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> Imported
     return Imported(
         tuple(logs),
         data.rate_hz,
-        (*raw.notes, *remarks, *_clipping(signals, values)),
+        (*raw.notes, *remarks, *_clipping(signals, values), *_identical(signals, values)),
         tuple(_unit_warnings(data_path, signals_path, signals, raw.units)),
         tuple(role for role in _NEEDED if not signals.with_role(role)),
     )
@@ -170,8 +171,8 @@ def file_format(path: Path, stated: Format | None = None) -> Format:
     if kind is None:
         raise LogError(
             f"{path}: expected a text file, or one of {', '.join(FORMAT_OF_SUFFIX)}; for another "
-            "suffix set format: csv, text, npz or mat in the signals file; of a spreadsheet or "
-            "another binary file, export the data as CSV"
+            "suffix set format: csv, text, npz or mat in the signals file; unpack a compressed "
+            "file; of a spreadsheet or another binary file, export the data as CSV"
         )
     return kind
 
@@ -216,6 +217,19 @@ def _clipping(signals: SignalsFile, values: list[Array]) -> list[str]:
         for remark in clipping_remarks(
             column.name, column.unit, value, output=column.role == "output"
         )
+    ]
+
+
+def _identical(signals: SignalsFile, values: list[Array]) -> list[str]:
+    named = [
+        (column.name, value)
+        for column, value in zip(signals.columns, values, strict=True)
+        if column.role not in ("time", "other")
+    ]
+    return [
+        f"{second} equals {first} in all rows: if both are one channel, delete one of them"
+        for (first, a), (second, b) in itertools.combinations(named, 2)
+        if np.array_equal(a, b, equal_nan=True)
     ]
 
 

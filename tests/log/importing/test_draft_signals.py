@@ -116,6 +116,42 @@ def test_dates_are_the_time(tmp_path):
     assert "the rate, 4 Hz" in draft.text
 
 
+def test_dates_of_arrays_are_the_time(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, when=np.datetime64("2024-05-17") + (T * 1e9).astype("timedelta64[ns]"), u=U, y=Y)
+    draft = draft_signals(path)
+    assert [c.role for c in parsed(draft).columns] == ["time", "input", "output"]
+    assert "the rate, 100 Hz" in draft.text
+
+
+def test_column_named_as_a_unit_of_time_is_the_time(tmp_path):
+    t = parsed(draft_signals(csv(tmp_path / "a.csv", "ms,u,y", 1e3 * T, U, Y))).columns[0]
+    assert (t.role, t.unit) == ("time", "ms")
+    s = parsed(draft_signals(csv(tmp_path / "b.csv", "t,s,u", T, U, Y))).columns[1]
+    assert s.role == "other"
+
+
+def test_line_that_cannot_be_read_is_shown(tmp_path):
+    path = csv(tmp_path / "a.csv", "t,u,y", T, U, Y)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:30], "0.3,0.1", *lines[30:]]) + "\n")
+    assert draft_signals(path).check[0].startswith("check: line 31: expected 3 cells")
+
+
+def test_range_of_a_wrapped_angle_is_shown(tmp_path):
+    path = csv(tmp_path / "a.csv", "t,u,angle [deg]", T, U, 2000 * T % 360)
+    assert "may begin again after 360 (key wraps)" in draft_signals(path).text
+
+
+def test_words_above_a_table_of_white_space_are_no_header(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text(
+        "== log of 2024 05 17 ==\n" + "".join(f"{k / 10} {k % 3} {k % 5}\n" for k in range(60))
+    )
+    assert '"== log' not in draft_signals(path).text
+    assert "column: 0, name: t" in draft_signals(path).text
+
+
 def test_file_without_numbers_is_refused(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("just,text\nand,more\n")

@@ -24,8 +24,8 @@ from .text_layout import Row, TextLayout, is_value, rows, text_layout
 _ENCODING_BYTES = 1 << 16
 """Bytes at the beginning of a file that decide its encoding: header and first rows."""
 
-_LONGEST_HEAD = 40
-"""Most lines of text between two segments of a file."""
+_LONGEST_TEXT_LINES = 40
+"""Most lines of text between two segments of a file, or below its rows."""
 
 
 class TextColumns(NamedTuple):
@@ -151,13 +151,13 @@ def _read_rows(
     header_lines = set(layout.header_lines)
     first, end = signals.rows.first, signals.rows.end
     count, texts, notes = 0, [], []
-    head_end: int | None = 0
+    text_end: int | None = 0
     for line, cells in lines:
         if count == end:
             break
-        if head_end is not None and line > head_end and _begins_with_text(cells, layout):
-            head_end = _next_header(path, layout, line)
-        if line <= (head_end or 0) or tuple(cells) in header_lines:
+        if text_end is not None and line > text_end and _begins_with_text(cells, layout):
+            text_end = _text_end(path, layout, line)
+        if line <= (text_end or 0) or tuple(cells) in header_lines:
             texts.append(line)
             continue
         if len(cells) > layout.width and not any(cells[layout.width :]):
@@ -194,14 +194,20 @@ def _begins_with_text(cells: list[str], layout: TextLayout) -> bool:
     return 0 in layout.numeric and not (is_value(cells[0]) or is_missing(cells[0]))
 
 
-def _next_header(path: Path, layout: TextLayout, line: int) -> int | None:
-    """Return where the header stands again soon after a line of text, as in files of segments.
+def _text_end(path: Path, layout: TextLayout, line: int) -> int | None:
+    """Return the last line of text that begins here: a head of a further segment, or a summary.
 
-    None if it does not: the line is a row with a wrong cell.
+    None if the line is a row with a wrong cell.
     """
     with open_text(path) as file:
-        ahead = itertools.islice(rows(file, layout.separator, first=line), _LONGEST_HEAD)
-        return max((at for at, cells in ahead if tuple(cells) in layout.header_lines), default=None)
+        ahead = list(
+            itertools.islice(rows(file, layout.separator, first=line), _LONGEST_TEXT_LINES)
+        )
+    headers = [at for at, cells in ahead if tuple(cells) in layout.header_lines]
+    below = 1 < len(ahead) < _LONGEST_TEXT_LINES
+    if not headers and below and all(_begins_with_text(cells, layout) for _, cells in ahead):
+        return ahead[-1][0]
+    return max(headers, default=None)
 
 
 def _last_line_is_cut(path: Path) -> bool:

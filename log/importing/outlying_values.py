@@ -75,6 +75,23 @@ def find_codes(values: Array, *, levels: bool) -> Mask:
     return found
 
 
+def lone_level(values: Array) -> float | None:
+    """Return a value far from all others of a signal (N,) at which it rests in several rows.
+
+    None without one. It may be a lost reading, such as 0, or a level.
+    """
+    known = values[~np.isnan(values)]
+    for level in (np.min(known, initial=np.inf), np.max(known, initial=-np.inf)):
+        others = known[known != level]
+        rows = len(known) - len(others)
+        if not _LONGEST_SPIKE < rows <= _MOST_CODES * len(known):
+            continue
+        far = float(np.min(np.abs(others - level))) > _FAR * float(np.ptp(others))
+        if far and len(np.unique(others)) >= _LEAST_LEVELS:
+            return float(level)
+    return None
+
+
 def _codes(values: Array, least_others: int) -> Mask:
     found = np.abs(values) >= _LARGEST
     near = {code: np.abs(values - code) <= 1e-6 * abs(code) for code in _CODES}

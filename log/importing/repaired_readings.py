@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from ..errors import LogError
-from .outlying_values import find_codes, find_spikes
+from .outlying_values import find_codes, find_spikes, lone_level
 from .signals_yaml import Column, SignalsFile
 from .wrapped_values import Wrap, excursions, find_wrap, unwrapped
 
@@ -100,6 +100,14 @@ def _without_spikes(
 
     `read` are the values of the file. All spikes are left out if the column says so.
     """
+    level = lone_level(values) if column.role == "output" else None
+    if level is not None:
+        rows = np.flatnonzero(values == level)
+        remarks.append(
+            f"{column.name}: {read[rows[0]]:.6g} in {len(rows)} rows, from row "
+            f"{signals.rows.first + rows[0]} on, far from all other values, is kept; if it means "
+            f"no reading, set missing: [{read[rows[0]]:.6g}] in the signals file"
+        )
     spikes = find_spikes(values)
     is_set, certain, doubtful = column.role in _SET, spikes.certain, spikes.doubtful
     if is_set or column.outliers == "keep" or _caused(np.flatnonzero(certain), inputs):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -157,7 +158,7 @@ def _table(lines: Sequence[str], separator: str | None) -> _Table | None:
     ]
     if not any(fits):
         return _Table(separator, sample, len(sample), usual, (), 0.0)
-    start = _first_row(fits, trimmed, _usual_texts(trimmed, numeric, usual))
+    start = _first_row(fits, trimmed, _usual_texts(trimmed, numeric, usual), numeric)
     inside = [k for k, fit in zip(kinds[start:], fits[start:], strict=True) if fit]
     filled = sum(bool(c) for t, fit in zip(trimmed, fits, strict=True) if fit for c in t)
     values = sum(sum(kind) for kind in inside)
@@ -191,16 +192,29 @@ def _usual_texts(
     return [each == usual for each in filled]
 
 
+def _continues(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> bool:
+    """Return whether the first column of numbers goes on by equal steps, as times and counts do."""
+    values = [ANY_FORMAT.number(cells[numeric[0]]) for cells in rows if len(cells) > numeric[0]]
+    known = [value for value in values if value is not None]
+    if len(known) < 3:
+        return False
+    step = known[1] - known[0]
+    return step != 0.0 and math.isclose(known[2] - known[1], step, rel_tol=0.1)
+
+
 def _first_row(
-    fits: Sequence[bool], trimmed: Sequence[Sequence[str]], usual: Sequence[bool]
+    fits: Sequence[bool],
+    trimmed: Sequence[Sequence[str]],
+    usual: Sequence[bool],
+    numeric: Sequence[int],
 ) -> int:
     """Return the first row of the table: most rows after it have numbers, and no units follow."""
     for start, fit in enumerate(fits):
         ahead = fits[start : start + _AHEAD]
         if not fit or 2 * sum(ahead) < len(ahead):
             continue
-        # An entry such as `Offset,0,0` is no row; other lines of text follow it.
-        if not usual[start] and not all(fits[start : start + _HEADER_LINES]):
+        # An entry such as `Offset,0,0` is no row. A first row has further texts in some formats.
+        if not usual[start] and not _continues(trimmed[start : start + 3], numeric):
             continue
         below = range(start + 1, min(start + 3, len(fits)))
         # A line with the numbers of the channels may stand above the units.

@@ -255,6 +255,15 @@ def test_value_of_an_input_far_beyond_all_others_is_shown():
     assert "(10000 in row 1500) are kept (it may jump by design)" in found.remarks[0]
 
 
+def test_level_far_from_all_other_values_is_shown():
+    bad = 2.5 + 0.1 * SMOOTH
+    bad[:20] = 0.0
+    found, (remark,) = read(bad)
+    np.testing.assert_array_equal(found, bad)
+    assert "0 in 20 rows, from row 0 on" in remark
+    assert "set missing: [0]" in remark
+
+
 def test_stated_codes_are_left_out():
     bad = SMOOTH.copy()
     bad[[10, 20]] = 0.5

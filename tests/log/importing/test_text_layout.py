@@ -152,3 +152,25 @@ def test_header_and_stated_rate_are_found_above_the_table(head, names, rate):
     assert (found.cells and [cell.name for cell in found.cells]) == names
     stated = stated_rate(found.entries)
     assert (stated and stated[1]) == (None if rate is None else pytest.approx(rate))
+
+
+def test_summary_below_the_rows_is_left_out(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,u,y\n" + 4 * ROWS + "\nMean,2.5,-3\nCount,3,3\n")
+    found = read(path, ("u", "other"))
+    assert found.values[0].tolist() == 4 * [1.5, 2.5, 3.5]
+    assert found.notes == ("2 lines of text between or below the rows left out (lines 15 to 16)",)
+
+
+@pytest.mark.parametrize(
+    ("entry", "rows"),
+    [
+        ('Date,"2024/05/17","2024/05/17"\n', 20),
+        ("Offset,0,0\nScale,1,1\n", 20),
+        ("trace,0,5\n", 21),  # goes on in the rows
+    ],
+)
+def test_entries_above_the_rows_are_no_rows(tmp_path, entry, rows):
+    path = tmp_path / "a.csv"
+    path.write_text("Name,t,y\n" + entry + "".join(f",{k},{k % 3}\n" for k in range(1, 21)))
+    assert len(read(path, ("t", "other")).values[0]) == rows

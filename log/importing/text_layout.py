@@ -187,9 +187,12 @@ def _usual_texts(
 ) -> list[bool]:
     """Return which rows have text in the same columns as most rows of the table."""
     columns = [i for i in range(width) if i not in numeric]
-    filled = [tuple(bool(cells[i]) for i in columns if i < len(cells)) for cells in trimmed]
-    usual = Counter(filled[len(filled) // 2 :]).most_common(1)[0][0]
-    return [each == usual for each in filled]
+    texts = [
+        tuple(bool(cells[i]) and not is_value(cells[i]) for i in columns if i < len(cells))
+        for cells in trimmed
+    ]
+    usual = Counter(texts[len(texts) // 2 :]).most_common(1)[0][0]
+    return [each == usual for each in texts]
 
 
 def _continues(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> bool:

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def list_mat(path: Path) -> list[Variable]:
 def _child(path: Path, request: str) -> bytes:
     """Return the answer of the child process to a SignalsFile, or to an empty request."""
     child = subprocess.run(
-        [sys.executable, "-P", "-m", __name__, str(path)],
+        [sys.executable, "-P", "-m", __name__, str(path), str(os.getpid())],
         input=request.encode(),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -88,22 +89,15 @@ def _end(code: int) -> str:
         return f"was ended by signal {-code}"
 
 
-def _answer(path: Path) -> int:
-    """Write the columns, or the variables as JSON, to stdout; return the exit code.
-
-    stdin: the SignalsFile, or nothing for a list of the variables.
-    """
+def _main(path: Path, parent: int) -> int:
+    """Write the answer to the request on stdin to stdout; return the exit code."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        return 1  # it ended before
     request = sys.stdin.buffer.read()  # ends early if the parent has ended already
     try:
         _limit(path)
-        variables = load_mat(path)
-        if not request:
-            found = [[v.path, v.shape, v.content, v.value] for v in list_variables(variables)]
-            sys.stdout.buffer.write(json.dumps(found).encode())
-            return 0
-        columns = read_variables(path, SignalsFile.model_validate_json(request), variables)
-        np.save(sys.stdout.buffer, np.stack(columns), allow_pickle=False)
+        _answer(path, request.decode(), sys.stdout.buffer)
     except LogError as error:
         sys.stdout.buffer.write(str(error).encode())
         return _REFUSED
@@ -111,6 +105,17 @@ def _answer(path: Path) -> int:
         sys.stdout.buffer.write(f"{path}: {_TOO_LARGE}".encode())
         return _REFUSED
     return 0
+
+
+def _answer(path: Path, request: str, out: IO[bytes]) -> None:
+    """Write the columns that a SignalsFile requests; the variables as JSON without a request."""
+    variables = load_mat(path)
+    if request:
+        columns = read_variables(path, SignalsFile.model_validate_json(request), variables)
+        np.save(out, np.stack(columns), allow_pickle=False)
+    else:
+        found = [[v.path, v.shape, v.content, v.value] for v in list_variables(variables)]
+        out.write(json.dumps(found).encode())
 
 
 def _limit(path: Path) -> None:
@@ -132,4 +137,4 @@ def _lower(what: int, limit: int) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(_answer(Path(sys.argv[1])))
+    sys.exit(_main(Path(sys.argv[1]), int(sys.argv[2])))

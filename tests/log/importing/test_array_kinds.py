@@ -10,6 +10,8 @@ from levid.log.errors import LogError
 from levid.log.importing.array_variables import list_variables, read_variables
 from levid.log.importing.signals_yaml import SignalsFile
 
+pytestmark = pytest.mark.usefixtures("mat_in_this_process")
+
 Y = np.linspace(0.0, 1.0, 30)
 
 

@@ -11,6 +11,8 @@ from levid.log.errors import LogError
 from levid.log.importing.draft_signals import FILL_IN, draft_signals
 from levid.log.importing.signals_yaml import SignalsFile
 
+pytestmark = pytest.mark.usefixtures("mat_in_this_process")
+
 T = np.arange(60) * 0.01
 U, Y = np.sin(T), np.cos(T)
 

@@ -180,6 +180,7 @@ def struct_array(*values):
         ("a.mat", mat(D=UY.T[:, None]), "samples: columns\n" + MATRIX),
     ],
 )
+@pytest.mark.usefixtures("mat_in_this_process")
 def test_npz_and_mat_arrays_are_imported(tmp_path, name, data, columns):
     assert columns_of(run(tmp_path, data, HEAD + columns, name=name)) == GOOD
 
@@ -277,6 +278,7 @@ def test_invalid_table_is_reported_with_line_and_column(tmp_path, text, columns,
         ),
     ],
 )
+@pytest.mark.usefixtures("mat_in_this_process")
 def test_invalid_array_is_reported_with_its_name(tmp_path, name, data, columns, expected_error):
     with pytest.raises(LogError) as caught:
         run(tmp_path, data, HEAD + columns, name=name)
@@ -314,6 +316,7 @@ def test_exit_of_the_mat_reader_process_is_reported(tmp_path, monkeypatch, code,
         run(tmp_path, mat(V1=U, V2=Y), HEAD + BY_NAME, name="a.mat")
 
 
+@pytest.mark.usefixtures("mat_in_this_process")
 def test_matlab_object_is_rejected_with_a_remedy(tmp_path):
     """MATLAB saves a timeseries in a form that scipy does not read; not even its name is known."""
 
@@ -330,6 +333,7 @@ def test_matlab_object_is_rejected_with_a_remedy(tmp_path):
         run(tmp_path, lambda path: path.write_bytes(data), HEAD + BY_NAME, name="a.mat")
 
 
+@pytest.mark.usefixtures("mat_in_this_process")
 def test_matlab_7_3_file_is_rejected_with_a_remedy(tmp_path):
     # The header that MATLAB writes; HDF5 follows at byte 512.
     text = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\0\2IM"

@@ -47,13 +47,13 @@ def written_once(columns: Sequence[Array], times: Sequence[Array]) -> Index:
 
 
 def continuous_time(
-    where: str, time_s: Array, row: Index, unit_s: float
+    where: str, time_s: Array, row: Index, unit_s: float, stated_range_s: float | None = None
 ) -> tuple[Array, list[str]]:
     """Return times (N,) in s that go on where the clock began again, and remarks.
 
     `row` (N,) are rows in the file, unit_s the unit of the file's stamps in s. A step back by 12 h
-    or 24 h, or by the range of a timer, is an overflow. Single stamps far from their neighbours
-    are replaced.
+    or 24 h, or by the range of a timer, is an overflow; each step back is one of stated_range_s if
+    that is given. Single stamps far from their neighbours are replaced.
 
     Raises:
         LogError: the time goes back for another reason; names the remedy.
@@ -70,9 +70,8 @@ def continuous_time(
             "reverse the order of the rows"
         )
     period_s = float(np.median(forward))
-    range_s = _clock_range(time_s, -steps[back], period_s, unit_s)
-    again = np.abs(time_s[back + 1] - time_s[0]) < 0.5 * period_s
-    if range_s is None or again.all():
+    range_s = stated_range_s or _clock_range(time_s, back, period_s, unit_s)
+    if range_s is None:
         raise _goes_back(where, time_s, row, back, period_s, unit_s)
     turns = np.zeros(len(time_s))
     turns[back + 1] = range_s
@@ -84,14 +83,18 @@ def continuous_time(
     return time_s + np.cumsum(turns), remarks
 
 
-def _clock_range(time_s: Array, back_s: Array, period_s: float, unit_s: float) -> float | None:
+def _clock_range(time_s: Array, back: Index, period_s: float, unit_s: float) -> float | None:
     """Return the usual range of a clock that turns all steps back into steps of few periods.
 
-    All stamps of such a clock lie within its range.
+    All stamps of such a clock lie within its range. If each step leads to the first stamp, records
+    follow each other: None.
     """
+    again = np.abs(time_s[back + 1] - time_s[0]) < 0.5 * period_s
+    if again.all():
+        return None
     timers = {2.0**bits * tick for bits in _TIMER_BITS for tick in (unit_s, *_TICKS_S)}
     for range_s in sorted({*_DAYS_S, *timers}):
-        step = range_s - back_s
+        step = range_s + np.diff(time_s)[back]
         if np.ptp(time_s) <= range_s and np.all((step > 0.0) & (step < _LONGEST_STEP * period_s)):
             return range_s
     return None

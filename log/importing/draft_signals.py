@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from ...config.escaping import MOST_NAME, one_line
 from ...config.units import known_unit
 from ..errors import LogError
-from .clock_restarts import continuous_time, written_once
+from .clock_restarts import written_once
 from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
 from .header_units import header_unit
 from .number_cells import NumberFormat
-from .time_columns import ClockColumn, NamedColumn, combined_time_s, find_clock
-from .time_grid import TimeGrid, fit_grid
+from .time_axis import time_axis
+from .time_columns import ClockColumn, NamedColumn, find_clock
+from .time_grid import TimeGrid
 from .wrapped_values import find_wrap
 
 Array = NDArray[np.float64]
@@ -189,13 +190,8 @@ def _time(
 def _grid(
     path: Path, clocks: Sequence[ClockColumn], values: Sequence[Array], factor: float = 1.0
 ) -> TimeGrid:
-    time_s = combined_time_s(
-        str(path), [factor * clock.seconds(values) for clock in clocks], [""] * len(clocks)
-    )
-    time_s = time_s[~np.isnan(time_s)]
-    row = np.arange(len(time_s))
-    time_s, _ = continuous_time(str(path), time_s, row, clocks[0].unit_s)
-    return fit_grid(str(path), time_s, row)
+    parts_s = [factor * clock.seconds(values) for clock in clocks]
+    return time_axis(str(path), parts_s, [""] * len(clocks), clocks[0].unit_s).grid
 
 
 def _rate_hz(

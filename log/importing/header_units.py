@@ -14,21 +14,20 @@ _DIVIDED = re.compile(r"^(?P<name>[^/]*?)\s*/\s*(?P<unit>\S+)$")
 _WORDED = re.compile(r"^(?P<name>.*?)(?:\bin\s+|,\s*|:\s*|\s-\s)(?P<unit>\S+)$")
 _ENDING = re.compile(r"^(?P<name>.+)_(?P<unit>[A-Za-z]+)$")
 _TIMES = frozenset(
-    {"t", "time", "times", "zeit", "temps", "timestamp", "stamp", "timestamps", "clock", "sec"}
-    | {"secs", "second", "seconds", "millis", "micros", "nanos", "nsec", "nsecs", "nanosec"}
-    | {"nanosecs", "nanoseconds", "usec", "msec", "milliseconds", "microseconds", "date"}
+    {"t", "time", "times", "zeit", "temps", "timestamp", "stamp", "timestamps", "clock", "date"}
     | {"datetime", "uhrzeit", "datum", "tijd", "tiempo", "tempo"}
 )
-"""Words, in lower case, one of which the name of a time has."""
+"""Words, in lower case, one of which the name of a time has if it has no unit of time."""
 _NO_TIMES = frozenset({"seq", "ref", "count", "constant", "settling", "rise", "execution", "cycle"})
 """Words that make it another quantity."""
 _WORDS = {
     **dict.fromkeys(("volt", "volts", "vdc", "vac"), "V"),
     **dict.fromkeys(("amp", "amps", "ampere", "amperes"), "A"),
     **dict.fromkeys(("second", "seconds", "sec", "secs"), "s"),
-    **dict.fromkeys(("millisecond", "milliseconds", "msec", "msecs"), "ms"),
-    **dict.fromkeys(("microsecond", "microseconds", "usec", "usecs"), "us"),
+    **dict.fromkeys(("millisecond", "milliseconds", "msec", "msecs", "millis"), "ms"),
+    **dict.fromkeys(("microsecond", "microseconds", "usec", "usecs", "micros"), "us"),
     **dict.fromkeys(("nanosecond", "nanoseconds", "nsec", "nsecs", "nanosec", "nanosecs"), "ns"),
+    "nanos": "ns",
     **dict.fromkeys(("newton", "newtons"), "N"),
     **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
@@ -88,8 +87,24 @@ def header_cell(text: str) -> HeaderCell:
 
 def is_time_name(name: str) -> bool:
     """Return whether a column's name without unit says that it holds the time."""
-    words = set(re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()))
-    return bool(words & _TIMES) and not words & _NO_TIMES
+    words = set(_words(name))
+    named = bool(words & _TIMES) or time_unit_in(name) is not None
+    return named and not words & _NO_TIMES
+
+
+def time_unit_in(name: str) -> str | None:
+    """Return the unit of time that a column's name has as a word, such as micros or ms.
+
+    Of units with few letters, the name is nothing else: v_ms is a speed. None without one.
+    """
+    if (whole := known_unit(name)) is not None and whole.si == "s" and whole.factor < 1.0:
+        return name
+    units = (_WORDS.get(word) for word in _words(name))
+    return next((unit for unit in units if unit in ("s", "ms", "us", "ns")), None)
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
 
 
 def unit_slip(header: str, unit: str, scale: float) -> str | None:

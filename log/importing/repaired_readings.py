@@ -53,7 +53,6 @@ def repaired(where: str, signals: SignalsFile, columns: Sequence[Array]) -> Read
     for i in order:  # references follow the outputs
         column = signals.columns[i]
         if column.role == "time":
-            values[i] = _continued_clock(column, values[i], remarks)
             continue
         read = values[i]
         values[i], wrapped = _without_wraps(where, signals, column, read, inputs, ranges, remarks)
@@ -196,21 +195,6 @@ def _without_wraps(
     if column.role != "other":
         remarks.append(f"{column.name} {note}")
     return values, True
-
-
-def _continued_clock(column: Column, values: Array, remarks: list[str]) -> Array:
-    """Return stamps (N,) that go on where a clock with a stated range goes back."""
-    if column.wraps is None or column.wraps == "none":
-        return values
-    known = ~np.isnan(values)
-    steps = np.diff(values[known], prepend=values[known][:1])
-    found = values.copy()
-    found[known] += column.wraps * np.cumsum(steps < 0.0)
-    remarks.append(
-        f"{column.name}: the clock goes on at {np.count_nonzero(steps < 0.0)} steps back, by "
-        f"{column.wraps:.10g} each (wraps in the signals file)"
-    )
-    return found
 
 
 def _unknown_range(where: str, column: Column, wrap: Wrap, rows: str) -> LogError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...config.units import known_unit
 from ..errors import LogError
-from .header_units import header_unit, is_time_name
+from .header_units import header_unit, is_time_name, time_unit_in
 
 Array = NDArray[np.float64]
 
@@ -24,14 +23,6 @@ _DAYS_OF_1900, _DAYS_OF_0 = (3.0e4, 8.0e4), (7.0e5, 7.7e5)
 """Days as spreadsheets and MATLAB count them, from 1982 to 2119 and from 1916 to 2108."""
 _SHORTEST_STEP_S = 1e-5
 _UNITS_OF_1970 = (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9))
-_WORDS = (
-    ("nano", "ns"),
-    ("nsec", "ns"),
-    ("micro", "us"),
-    ("usec", "us"),
-    ("milli", "ms"),
-    ("msec", "ms"),
-)
 _RATE_DIFFERENCE = 0.02
 """Relative difference up to which a stated rate tells the unit of the time."""
 _RISING = 0.9
@@ -142,16 +133,10 @@ def _smallest_step(values: Array) -> float:
 
 
 def _may_be_time(column: NamedColumn) -> bool:
-    text = column.unit or _unit_in_place_of_name(column)
-    unit = known_unit(header_unit(text) or text) if text else None
+    unit = known_unit(header_unit(column.unit) or column.unit) if column.unit else None
     if unit is not None:
         return unit.si == "s"
     return column.dates or (not column.unit and is_time_name(column.name))
-
-
-def _unit_in_place_of_name(column: NamedColumn) -> str:
-    """Return the unit of a column that is called ms or us; "" for others: m and s are names too."""
-    return column.name if len(column.name) > 1 and header_unit(column.name) else ""
 
 
 def _is_first_clock(column: NamedColumn, values: Array) -> bool:
@@ -173,19 +158,16 @@ def _counts_rows(values: Array) -> bool:
 
 def _clock(index: int, column: NamedColumn, values: Array, rate_hz: float | None) -> ClockColumn:
     """Return a column with its unit: stated, of a word in its name, or of its values."""
-    stated = "s" if column.dates else header_unit(column.unit or _unit_in_place_of_name(column))
-    if stated is not None:
-        return ClockColumn(index, stated)
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column.name).lower()
-    named = next((unit for word, unit in _WORDS if word in words), None)
-    if named is not None:
-        return ClockColumn(index, named)
+    stated = "s" if column.dates else header_unit(column.unit)
+    named = time_unit_in(column.name)
+    if stated is not None or named not in (None, "s"):
+        return ClockColumn(index, stated or named or "s")
     known = values[~np.isnan(values)]
     since = _epoch(index, float(np.median(known)), float(np.median(np.diff(known))))
     if since is not None:
         return since
-    if re.search(r"\bsecs?\b|\bseconds?\b", words):
-        return ClockColumn(index, "s")
+    if named is not None:
+        return ClockColumn(index, named)
     step = float(np.median(np.diff(known)))
     for unit, factor in _UNITS_OF_1970:
         if rate_hz is not None and abs(step * rate_hz / factor - 1.0) < _RATE_DIFFERENCE:

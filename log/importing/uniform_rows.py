@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from ...config.units import known_unit
 from ..errors import LogError
-from .clock_restarts import continuous_time, written_once
 from .gap_filling import FilledPart, GapFiller, runs
 from .irregular_times import irregular_error, resample
 from .signals_yaml import Column, SignalsFile
-from .time_columns import combined_time_s
-from .time_grid import LONGEST_FILLED_ROWS, TimeGrid, fit_grid
+from .time_axis import time_axis
+from .time_grid import LONGEST_FILLED_ROWS, TimeGrid
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -32,7 +31,6 @@ _RATE_TOLERANCE = 0.01
 """Largest relative difference between rate_hz and the rate of the time stamps."""
 _MOST_LISTED = 3
 _HOUR_S = 3600.0
-_LARGE_STAMP = 1e8
 
 
 @dataclass(frozen=True)
@@ -76,28 +74,28 @@ def uniform_rows(where: str, signals: SignalsFile, columns: Sequence[Array]) -> 
             where, signals, UniformRows(signals.rate_hz, (UniformPart(0, values, row),))
         )
     at = [signals.columns.index(column) for column in times]
-    labels = [column.label for column in times]
-    named = f"{where}: {labels[0]}"
+    named = f"{where}: {times[0].label}"
     factors = [_factor_to_s(column) for column in times]
-    parts_s = [factor * _near_zero(values[:, i]) for factor, i in zip(factors, at, strict=True)]
-    time_s = combined_time_s(where, parts_s, labels) if len(at) > 1 else parts_s[0]
-    stamped = ~np.isnan(time_s)
-    time_s, values, row = time_s[stamped], values[stamped], row[stamped]
-    remarks = []
-    if not stamped.all():
-        remarks.append(f"{np.count_nonzero(~stamped)} rows without a time are left out")
-    once = written_once([time_s, *values.T], [time_s])
-    if len(once) < len(row):
-        remarks.append(f"{len(row) - len(once)} rows that repeat an earlier row are left out")
-        time_s, values, row = time_s[once], values[once], row[once]
-    time_s, more = continuous_time(named, time_s, row, factors[0] * abs(times[0].scale))
-    remarks += more
+    units_s = [factor * abs(column.scale) for factor, column in zip(factors, times, strict=True)]
+    ranges = [
+        unit_s * column.wraps
+        for unit_s, column in zip(units_s, times, strict=True)
+        if isinstance(column.wraps, float)
+    ]
+    axis = time_axis(
+        named,
+        [factor * values[:, i] for factor, i in zip(factors, at, strict=True)],
+        [column.label for column in times],
+        units_s[0],
+        columns=columns,
+        first_row=signals.rows.first,
+        stated_period_s=None if signals.rate_hz is None else 1.0 / signals.rate_hz,
+        stated_range_s=max(ranges, default=None),
+    )
+    time_s, grid, remarks = axis.time_s, axis.grid, axis.remarks
+    values, row = values[axis.kept], row[axis.kept]
     if len(at) == 1:
-        values = values.copy()
-        first = values[0, at[0]] - time_s[0] / factors[0] if len(values) else 0.0
-        values[:, at[0]] = time_s / factors[0] + first
-    stated_s = None if signals.rate_hz is None else 1.0 / signals.rate_hz
-    grid = fit_grid(named, time_s, row, stated_s)
+        values[:, at[0]] = values[0, at[0]] + (time_s - time_s[0]) / factors[0]
     if signals.resample:
         new = resample(named, signals, time_s, values, row)
         parts = tuple(UniformPart(*part) for part in new.parts)
@@ -129,12 +127,6 @@ def _rate_hz(where: str, stated_hz: float | None, grid: TimeGrid) -> float:
             "or correct the unit of the time"
         )
     return stated_hz
-
-
-def _near_zero(stamps: Array) -> Array:
-    """Return stamps since 1970, or as large, from the first row: differences lose no digits."""
-    known = stamps[~np.isnan(stamps)]
-    return stamps - known[0] if len(known) and abs(known[0]) > _LARGE_STAMP else stamps
 
 
 def _factor_to_s(column: Column) -> float:

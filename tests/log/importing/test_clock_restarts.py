@@ -176,3 +176,9 @@ def test_seconds_and_nanoseconds_are_added_and_two_clocks_are_not(tmp_path):
             continue
         with pytest.raises(LogError, match=error):
             import_file(data, signals, tmp_path / f"{column}.mcap")
+
+
+def test_range_of_a_scaled_counter_is_in_its_counts(tmp_path):
+    counts = [f"{t:.0f}" for t in (5e6 + 84_000 * np.arange(N)) % 1e8]
+    found = imported(tmp_path, counts, "s", f", scale: {1 / 84e6!r}, wraps: 100000000")
+    assert (found.rate_hz, found.rows) == (1000.0, N)

@@ -1,0 +1,71 @@
+"""Make one time axis of the time columns of a file, and place its rows on a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .clock_restarts import continuous_time, written_once
+from .time_columns import combined_time_s
+from .time_grid import TimeGrid, fit_grid
+
+Array = NDArray[np.float64]
+_LARGE_STAMP_S = 1e8
+
+
+@dataclass(frozen=True)
+class TimeAxis:
+    """Times (n,) in s of the rows that have one, and the grid on which these are.
+
+    kept (n,): indices of these rows among the N rows of the columns.
+    """
+
+    time_s: Array
+    kept: NDArray[np.int64]
+    grid: TimeGrid
+    remarks: tuple[str, ...]
+
+
+def time_axis(
+    where: str,
+    parts_s: Sequence[Array],
+    labels: Sequence[str],
+    unit_s: float,
+    *,
+    columns: Sequence[Array] = (),
+    first_row: int = 0,
+    stated_period_s: float | None = None,
+    stated_range_s: float | None = None,
+) -> TimeAxis:
+    """Return the axis that time columns `parts_s`, each (N,) in s, add up to.
+
+    unit_s: unit of the file's stamps. columns: all columns, each (N,), in which rows that were
+    written twice are equal. first_row: row in the file of the first one. stated_period_s,
+    stated_range_s: the period and the range of the clock as the user states them.
+
+    Raises:
+        LogError: two clocks, fewer than three times, or times that do not increase.
+    """
+    parts_s = [_near_zero(part) for part in parts_s]
+    time_s = combined_time_s(where, parts_s, labels) if len(parts_s) > 1 else parts_s[0]
+    kept = np.flatnonzero(~np.isnan(time_s))
+    remarks = []
+    if len(kept) < len(time_s):
+        remarks.append(f"{len(time_s) - len(kept)} rows without a time are left out")
+    once = written_once([time_s[kept], *(column[kept] for column in columns)], [time_s[kept]])
+    if len(once) < len(kept):
+        remarks.append(f"{len(kept) - len(once)} rows that repeat an earlier row are left out")
+        kept = kept[once]
+    row = first_row + kept
+    time_s, more = continuous_time(where, time_s[kept], row, unit_s, stated_range_s)
+    grid = fit_grid(where, time_s, row, stated_period_s)
+    return TimeAxis(time_s, kept, grid, (*remarks, *more))
+
+
+def _near_zero(stamps_s: Array) -> Array:
+    """Return stamps since 1970, or as large, from the first row: differences lose no digits."""
+    known = stamps_s[~np.isnan(stamps_s)]
+    return stamps_s - known[0] if len(known) and abs(known[0]) > _LARGE_STAMP_S else stamps_s

@@ -19,12 +19,11 @@ from .array_variables import (
     Variable,
     list_variables,
     load_npz,
-    read_variables,
 )
-from .delimited_text import open_text, read_delimited
+from .delimited_text import open_text
 from .header_units import HeaderCell, header_cell
-from .importer import file_format
-from .mat_file_reader import list_mat, read_mat
+from .importer import file_format, raw_columns
+from .mat_file_reader import list_mat
 from .number_cells import ANY_FORMAT, NumberFormat, Proof, is_missing, with_unit
 from .recording_rate import stated_rate
 from .signals_yaml import Format, SignalsFile
@@ -113,17 +112,14 @@ def _read_group(path: Path, found: FileColumns, group: Sequence[int]) -> list[Ar
         {
             "levid": "signals",
             "rate_hz": 1,
+            "format": found.format,
             "samples": found.samples,
             "columns": entries,
             "decimal": found.number_format.decimal,
             "thousands": found.number_format.thousands,
         }
     )
-    if found.format in ("csv", "text"):
-        return read_delimited(path, signals, whitespace=found.format == "text").values
-    if found.format == "npz":
-        return read_variables(path, signals, load_npz(path))
-    return read_mat(path, signals)
+    return raw_columns(path, signals).values
 
 
 def _text_columns(path: Path, kind: Format) -> FileColumns:

@@ -19,8 +19,7 @@ from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
 from .header_units import header_unit
 from .number_cells import NumberFormat
 from .time_axis import time_axis
-from .time_columns import ClockColumn, NamedColumn, find_clock
-from .time_grid import TimeGrid
+from .time_columns import TIME_UNITS, ClockColumn, find_clock
 from .wrapped_values import find_wrap
 
 Array = NDArray[np.float64]
@@ -45,7 +44,6 @@ FILL_IN = "FILL_IN"
 _MOST_QUOTED = 200
 _MOST_STEM = MOST_NAME - 10
 """Longest name made of a header: a number and a unit may follow."""
-_TIME_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 _RATE_DIFFERENCE = 0.01
 """Relative difference of the rate that a file states from that of its time stamps, to report."""
 _SHOWN_VALUES = 5
@@ -147,29 +145,27 @@ def _time(
     path: Path, found: FileColumns, values: Sequence[Array]
 ) -> tuple[tuple[ClockColumn, ...], list[str], tuple[str, ...]]:
     """Return the columns with the time, the lines on the rate, and what to fill in."""
-    signals = (_INPUTS | _OUTPUTS | _REFERENCES) - {"x"}
-    named = [
-        NamedColumn(c.label, c.unit, c.dates, bool(signals & set(_words(c.label))))
-        for c in found.columns
-    ]
     rate_hz = found.rate[1] if found.rate else None
     whole = [each for each in values if len(each)]
     if whole:
         rows = written_once(whole, whole)
         values = [each[rows] if len(each) else each for each in values]
-    clocks = find_clock(named, values, rate_hz)
-    if clocks and clocks[0].unknown:
-        rates = [f"{u} for {_rate_hz(path, clocks, values, f):.4g} Hz" for u, f in _TIME_UNITS]
-        column = found.columns[clocks[0].index]
-        name = column.label or f"column {column.column}"
-        ticks = "s and scale: 1 / (counts per second) for another counter"
-        return clocks, [], (f"unit of {name}: {', '.join(rates)}, {ticks}",)
+    signals = (_INPUTS | _OUTPUTS | _REFERENCES) - {"x"}
+    first_is_signal = bool(signals & set(_words(found.columns[0].label)))
+    clocks = find_clock(found.columns, values, rate_hz, first_is_signal=first_is_signal)
     if clocks:
+        parts_s = [clock.seconds(values) for clock in clocks]
         try:
-            grid = _grid(path, clocks, values)
+            grid = time_axis(str(path), parts_s, [""] * len(clocks), clocks[0].unit_s).grid
         except LogError as error:
             reason = _quoted(str(error).removeprefix(f"{path}: "))
             return clocks, [f"# check: the time: {reason}"], ()
+        if clocks[0].unknown:
+            column = found.columns[clocks[0].index]
+            name = column.label or f"column {column.column}"
+            rates = [f"{unit} for {f / grid.period_s:.4g} Hz" for unit, f in TIME_UNITS]
+            ticks = "s and scale: 1 / (counts per second) for another counter"
+            return clocks, [], (f"unit of {name}: {', '.join(rates)}, {ticks}",)
         rate = [f"# The time column gives the rate, {1.0 / grid.period_s:.6g} Hz."]
         if not grid.regular:
             rate = [
@@ -185,22 +181,6 @@ def _time(
         return (), [f"rate_hz: {rate_hz:.10g}   # check: from {_quoted(name)}"], ()
     line = f"rate_hz: {FILL_IN}   # fill in: samples per second"
     return (), [line], ("rate_hz: samples per second",)
-
-
-def _grid(
-    path: Path, clocks: Sequence[ClockColumn], values: Sequence[Array], factor: float = 1.0
-) -> TimeGrid:
-    parts_s = [factor * clock.seconds(values) for clock in clocks]
-    return time_axis(str(path), parts_s, [""] * len(clocks), clocks[0].unit_s).grid
-
-
-def _rate_hz(
-    path: Path, clocks: Sequence[ClockColumn], values: Sequence[Array], factor: float
-) -> float:
-    try:
-        return 1.0 / _grid(path, clocks, values, factor).period_s
-    except LogError:
-        return float("nan")
 
 
 def _entries(

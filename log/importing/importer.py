@@ -74,7 +74,7 @@ def import_file(data_path: Path, signals_path: Path, out_path: Path) -> Imported
     """
     data_path, signals_path, out_path = Path(data_path), Path(signals_path), Path(out_path)
     signals = load_yaml(signals_path, SignalsFile)
-    raw = _raw_columns(data_path, signals)
+    raw = raw_columns(data_path, signals)
     readings = repaired(str(data_path), signals, raw.values)
     values = [
         _scaled(f"{data_path}: {column.label}", column_values, column.scale, column.offset, signals)
@@ -186,7 +186,7 @@ def _is_text(path: Path) -> bool:
     return bool(beginning) and (marked or controls == 0)
 
 
-def _raw_columns(path: Path, signals: SignalsFile) -> TextColumns:
+def raw_columns(path: Path, signals: SignalsFile) -> TextColumns:
     """Return the columns in the units of the file, all of one length, NaN where a value lacks."""
     kind = file_format(path, signals.format)
     if kind in ("csv", "text"):

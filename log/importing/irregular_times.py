@@ -20,8 +20,6 @@ Index = NDArray[np.int64]
 _LONG_STEP = 5.0
 """Step that splits the data, over the step that 95 % of the steps do not exceed."""
 _MIN_ROWS = 5
-_MOST_RATE = 10.0
-"""Highest rate to resample to, over the rate of the rows."""
 _MOST_ROWS = 20.0
 """Most periods of the new rate for each row: more would be interpolation alone."""
 _METHODS: tuple[Method, ...] = ("cubic", "linear")
@@ -87,7 +85,7 @@ def resample(
     longer than the others of a column split the data.
 
     Raises:
-        LogError: rows with the same time, too few rows, or a rate far above that of the rows.
+        LogError: rows with the same time, too few rows, or most rows would be interpolation.
     """
     time_s = time_s - time_s[0]
     used = [i for i, c in enumerate(signals.columns) if c.role not in ("time", "other")]
@@ -98,18 +96,13 @@ def resample(
     steps = min((np.diff(each.at) for each in samples.values()), key=np.median)
     usual_hz = 1.0 / float(np.median(steps))
     rate_hz = signals.rate_hz or _default_rate_hz(steps)
-    if rate_hz > _MOST_RATE * usual_hz:
-        raise LogError(
-            f"{where}: rate_hz: expected at most {_MOST_RATE:g} times the rate of the rows, "
-            f"{usual_hz:.4g} Hz, found {rate_hz:g} Hz"
-        )
     spans = _common_spans(tuple(samples.values()))
     periods = sum(end - begin for begin, end in spans) * rate_hz
     if periods > _MOST_ROWS * len(time_s):
         raise LogError(
-            f"{where}: resample: expected at most {_MOST_ROWS:g} periods for each row, found "
-            f"{periods / len(time_s):.3g} at {rate_hz:g} Hz: most rows are far apart; set a lower "
-            "rate_hz, or import the dense rows alone (key rows)"
+            f"{where}: rate_hz: expected at most {_MOST_ROWS:g} periods for each row, found "
+            f"{periods / len(time_s):.3g} at {rate_hz:g} Hz (the median step is that of "
+            f"{usual_hz:.4g} Hz): set a lower rate_hz, or import dense rows alone (key rows)"
         )
     methods = {i: _method(signals, signals.columns[i], each) for i, each in samples.items()}
     parts = []

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import LogError
 from .clock_restarts import continuous_time, written_once
-from .time_columns import combined_time_s
 from .time_grid import TimeGrid, fit_grid
 
 Array = NDArray[np.float64]
+
 _LARGE_STAMP_S = 1e8
+PRECISE = 1.0 + 1e-9
+"""Factor on a step within which another clock counts between two of its stamps."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,35 @@ def time_axis(
     time_s, more = continuous_time(where, time_s[kept], row, unit_s, stated_range_s)
     grid = fit_grid(where, time_s, row, stated_period_s)
     return TimeAxis(time_s, kept, grid, (*remarks, *more))
+
+
+def combined_time_s(where: str, parts: Sequence[Array], labels: Sequence[str]) -> Array:
+    """Return the sum (N,) of columns in s, relative to the first row.
+
+    Raises LogError if two columns are clocks of their own instead of parts of one.
+    """
+    steps = [smallest_step(part) for part in parts]
+    order = sorted(range(len(parts)), key=lambda i: -steps[i])
+    for coarse, fine in itertools.pairwise(order):
+        spread = float(np.nanmax(parts[fine]) - np.nanmin(parts[fine]))
+        if spread > steps[coarse] * PRECISE:
+            raise LogError(
+                f"{where}: expected columns of role time that add up, such as seconds and "
+                f"nanoseconds, found two clocks: {labels[coarse]} and {labels[fine]}; give one of "
+                "them the role other"
+            )
+    found = np.zeros(len(parts[0]))
+    for part in parts:
+        known = part[~np.isnan(part)]
+        found += part - (known[0] if len(known) else 0.0)
+    return found
+
+
+def smallest_step(values: Array) -> float:
+    """Return the smallest step between different values; infinite for a constant."""
+    steps = np.abs(np.diff(values[~np.isnan(values)]))
+    steps = steps[steps > 0.0]
+    return float(steps.min()) if len(steps) else np.inf
 
 
 def _near_zero(stamps_s: Array) -> Array:

@@ -24,6 +24,7 @@ from .text_layout import Row, TextLayout, is_value, rows, text_layout
 _ENCODING_BYTES = 1 << 16
 """Bytes at the beginning of a file that decide its encoding: header and first rows."""
 
+_DECIMAL_COMMAS = " if commas are decimal commas, separate the columns by semicolons or tabs"
 _LONGEST_TEXT_LINES = 40
 """Most lines of text between two segments of a file, or below its rows."""
 
@@ -104,17 +105,8 @@ def column_place(path: Path, column: Column, layout: TextLayout) -> int:
             raise LogError(f"{where}: expected a column number from 0 to {layout.width - 1}")
         return column.column
     if layout.cells is None:
-        misfit = layout.misfit
-        if misfit and layout.separator == "," and layout.width == 2 * misfit[1]:
-            raise LogError(
-                f"{path}: line {misfit[0]}: expected {layout.width} names, as the rows have cells, "
-                f"found {misfit[1]}; if commas are decimal commas, separate the columns by "
-                "semicolons or tabs"
-            )
-        above = (
-            f" (line {misfit[0]} has {misfit[1]} cells, the rows {layout.width})" if misfit else ""
-        )
-        raise LogError(f"{where}: the file has no header{above}; give the column's number")
+        commas = f", or{_DECIMAL_COMMAS}" if layout.separator == "," else ""
+        raise LogError(f"{where}: the file has no header; give the column's number{commas}")
     name = header_cell(column.column).text
     found = [i for i, cell in enumerate(layout.cells) if cell.text == name]
     found = found or [i for i, cell in enumerate(layout.cells) if cell.name == name]
@@ -223,7 +215,7 @@ def _fitted(where: str, cells: list[str], layout: TextLayout, last_place: int) -
         return [*cells, *[""] * (layout.width - len(cells))]
     remedy = "; correct the line, or delete it if a column holds the times"
     if layout.separator == "," and len(cells) == 2 * layout.width:
-        remedy = "; if commas are decimal commas, separate the columns by semicolons or tabs"
+        remedy = f";{_DECIMAL_COMMAS}"
     raise LogError(
         f"{where}: expected {layout.width} cells, as in the first row, found {len(cells)}{remedy}"
     )

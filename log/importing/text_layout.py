@@ -46,8 +46,7 @@ class TextLayout:
     first row of numbers. header_lines: cells of the lines that hold names and units; some programs
     repeat them. entries: further names and values above the table, as text. skipped: number of
     lines above the header that are neither comments nor blank. signs: points and commas in numbers
-    of the first rows, and what they must be. misfit: line above the table with another number of
-    cells, and that number.
+    of the first rows, and what they must be.
     """
 
     separator: str | None
@@ -59,7 +58,6 @@ class TextLayout:
     entries: tuple[tuple[str, str], ...] = ()
     skipped: int = 0
     signs: tuple[tuple[str, Proof], ...] = ()
-    misfit: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -250,15 +248,11 @@ def _with_header(table: _Table, lines: Sequence[str]) -> TextLayout:
             first_line = sample[names][0] + 1
         found = replace(found, cells=cells, width=width, header_lines=held, first_line=first_line)
     above = [cells for _, cells in sample[:start]]
-    misfit = None
-    if names is None and above and len(above[-1]) != width and not any(map(is_value, above[-1])):
-        misfit = (sample[start - 1][0], len(above[-1]))
     return replace(
         found,
         entries=_entries(above, lines[: first_line - 1]),
         skipped=top,
         signs=_signs(table),
-        misfit=misfit,
     )
 
 

@@ -18,9 +18,7 @@ _TICKS_S = (1.0, 1e-3, 1e-6, 1e-7, 1e-9)
 _LONGEST_STEP = 6.0
 """Most periods between the rows before and after a restart."""
 _FAR = 10.0
-"""Least distance of a wrong time stamp from those beside it, in periods."""
-_MOST_WRONG = 0.01
-"""Largest share of wrong time stamps."""
+"""Least step back, in periods, of rows that are not out of order."""
 _MOSTLY = 0.9
 """Least share of regular steps after sorting, if rows are out of order."""
 _UNSORTED = 0.01
@@ -53,12 +51,12 @@ def continuous_time(
 
     `row` (N,) are rows in the file, unit_s the unit of the file's stamps in s. A step back by 12 h
     or 24 h, or by the range of a timer, is an overflow; each step back is one of stated_range_s if
-    that is given. Single stamps far from their neighbours are replaced.
+    that is given.
 
     Raises:
         LogError: the time goes back for another reason; names the remedy.
     """
-    time_s, remarks = _without_wrong_stamps(time_s, row)
+    remarks: list[str] = []
     steps = np.diff(time_s)
     back = np.flatnonzero(steps < 0.0)
     forward = steps[steps > 0.0]
@@ -129,26 +127,6 @@ def _goes_back(
     return LogError(
         f"{where}: expected times that increase from row to row, found {found}{more}; {remedy}"
     )
-
-
-def _without_wrong_stamps(time_s: Array, row: Index) -> tuple[Array, list[str]]:
-    """Return times (N,) in which single stamps far outside their neighbours are interpolated."""
-    before, at, after = time_s[:-2], time_s[1:-1], time_s[2:]
-    if len(at) < 3:
-        return time_s, []
-    period_s = float(np.median(np.abs(np.diff(time_s))))
-    wide = after - before
-    outside = np.maximum(before - at, at - after)
-    wrong = 1 + np.flatnonzero(
-        (wide > 0.0) & (wide < _LONGEST_STEP * period_s) & (outside > _FAR * period_s)
-    )
-    if not len(wrong) or len(wrong) > max(1.0, _MOST_WRONG * len(time_s)):
-        return time_s, []
-    found = time_s.copy()
-    found[wrong] = 0.5 * (time_s[wrong - 1] + time_s[wrong + 1])
-    listed = ", ".join(f"{time_s[i]:.6g} s in row {row[i]}" for i in wrong[:3])
-    more = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
-    return found, [f"wrong time stamps replaced by the mean of their neighbours: {listed}{more}"]
 
 
 def _duration(seconds: float) -> str:

@@ -72,8 +72,6 @@ def _with_codes_left_out(
         remarks.append(
             f"{column.name}: {np.count_nonzero(stated)} values listed in missing are left out"
         )
-    if column.role == "time":
-        return values
     codes = find_codes(values, levels=column.role in _SET)
     if codes.any():
         found = f"{column.name}: {_shown(codes, values, signals, 'values that mean no reading')}"

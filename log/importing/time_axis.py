@@ -16,6 +16,11 @@ from .time_grid import TimeGrid, fit_grid
 Array = NDArray[np.float64]
 
 _LARGE_STAMP_S = 1e8
+_LEAST_STAMPS = 3
+_FAR = 10.0
+"""Least distance of a wrong time stamp from those beside it, in periods."""
+_MOST_WRONG = 0.01
+"""Largest share of wrong time stamps."""
 PRECISE = 1.0 + 1e-9
 """Factor on a step within which another clock counts between two of its stamps."""
 
@@ -55,8 +60,8 @@ def time_axis(
     """
     parts_s = [_near_zero(part) for part in parts_s]
     time_s = combined_time_s(where, parts_s, labels) if len(parts_s) > 1 else parts_s[0]
+    time_s, remarks = _with_stamps_between(time_s, first_row)
     kept = np.flatnonzero(~np.isnan(time_s))
-    remarks = []
     if len(kept) < len(time_s):
         remarks.append(f"{len(time_s) - len(kept)} rows without a time are left out")
     once = written_once([time_s[kept], *(column[kept] for column in columns)], [time_s[kept]])
@@ -67,6 +72,39 @@ def time_axis(
     time_s, more = continuous_time(where, time_s[kept], row, unit_s, stated_range_s)
     grid = fit_grid(where, time_s, row, stated_period_s)
     return TimeAxis(time_s, kept, grid, (*remarks, *more))
+
+
+def _with_stamps_between(time_s: Array, first_row: int) -> tuple[Array, list[str]]:
+    """Return times (N,) with those of rows whose place their neighbours leave no doubt of.
+
+    Such a row has no stamp, or one far outside those beside it, and the stamps around leave room
+    for the rows between them.
+    """
+    found = time_s.copy()
+    before, at, after = time_s[:-2], time_s[1:-1], time_s[2:]
+    known = np.flatnonzero(~np.isnan(time_s))
+    if len(known) < _LEAST_STAMPS:
+        return time_s, []
+    period_s = float(np.median(np.abs(np.diff(time_s[known]) / np.diff(known))))
+    between = np.abs(after - before - 2.0 * period_s) < 0.5 * period_s
+    wrong = between & (np.maximum(before - at, at - after) > _FAR * period_s)
+    if np.count_nonzero(wrong) <= max(1.0, _MOST_WRONG * len(time_s)):
+        found[1:-1][wrong] = np.nan
+    known = np.flatnonzero(~np.isnan(found))
+    rows, steps = np.diff(known), np.diff(found[known])
+    fits = (rows > 1) & (np.abs(steps - rows * period_s) < 0.5 * period_s)
+    place = np.concatenate(
+        [np.arange(known[i] + 1, known[i + 1]) for i in np.flatnonzero(fits)] or [known[:0]]
+    )
+    found[place] = np.interp(place, known, found[known])
+    if not len(place):
+        return found, []
+    listed = ", ".join(
+        f"row {first_row + i}" + ("" if np.isnan(time_s[i]) else f" ({time_s[i]:.6g} s)")
+        for i in place[:3]
+    )
+    more = f" and {len(place) - 3} more" if len(place) > 3 else ""
+    return found, [f"wrong or missing time stamps replaced by those between: {listed}{more}"]
 
 
 def combined_time_s(where: str, parts: Sequence[Array], labels: Sequence[str]) -> Array:

@@ -89,13 +89,17 @@ def test_stated_range_of_a_clock_is_used(tmp_path):
     assert found.rows == N
 
 
-def test_single_wrong_stamp_is_replaced(tmp_path):
-    stamps = 1e-3 * np.arange(N)
-    stamps[700] *= 1000
+@pytest.mark.parametrize("bad", ["700.123", "-9999", ""])
+def test_stamp_that_its_neighbours_leave_no_doubt_of_is_replaced(tmp_path, bad):
+    stamps = [f"{1e-3 * k:.3f}" for k in range(N)]
+    stamps[700] = bad
+    if bad != "700.123":
+        stamps[1200:1202] = [bad, bad]
     found = imported(tmp_path, stamps)
-    assert found.rate_hz == 1000.0
-    assert "wrong time stamps replaced by the mean of their neighbours: 700 s in row 700" in (
-        found.notes
+    assert (found.rate_hz, found.rows) == (1000.0, N)
+    assert any(
+        note.startswith("wrong or missing time stamps replaced by those between: ")
+        for note in found.notes
     )
 
 

@@ -69,8 +69,12 @@ def header_cell(text: str) -> HeaderCell:
         for found in _BRACKETS.finditer(text)
     ]
     known = [each for each in brackets if header_unit(each[1])]
-    # V(pos) is a name; in another unit than the known ones, counts stand apart: Pos (counts).
-    last = [e for e in brackets if e[0].end() == len(text) and e[0][0][:1] in " ["]
+    # V(pos) and u[0] are names; in another unit than the known ones, counts stand apart.
+    last = [
+        each
+        for each in brackets
+        if each[0].end() == len(text) and each[0][0][:1] in " [" and not each[1].isdigit()
+    ]
     for found, unit in [*known[-1:], *last]:
         name = f"{text[: found.start()]} {text[found.end() :]}".strip()
         return HeaderCell(text, name or text, unit)

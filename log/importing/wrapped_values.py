@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,13 +59,20 @@ def unwrapped(values: Array, wrap_range: float, apart: NDArray[np.bool_]) -> Arr
     the others are put far away, where they are outliers.
     """
     known = ~np.isnan(values)
-    usual = known & ~apart
+    usual = np.flatnonzero(known & ~apart)
     found = values.copy()
-    if not usual.any():
+    if len(usual) < 2:
         return found
-    found[usual] = np.unwrap(values[usual], period=wrap_range)
-    other = np.flatnonzero(known & ~usual)
-    near = np.interp(other, np.flatnonzero(usual), found[usual])
+    steps, rows = np.diff(values[usual]), np.diff(usual)
+    moved = steps - wrap_range * np.round(steps / wrap_range)
+    for gap in np.flatnonzero(rows > 1):
+        # A fast angle moves by more than half the range over missing rows.
+        beside = [moved[i] for i in (gap - 1, gap + 1) if 0 <= i < len(rows) and rows[i] == 1]
+        expected = rows[gap] * np.mean(beside or [0.0])
+        moved[gap] = steps[gap] + wrap_range * np.round((expected - steps[gap]) / wrap_range)
+    found[usual[1:]] = values[usual[0]] + np.cumsum(moved)
+    other = np.flatnonzero(known & apart)
+    near = np.interp(other, usual, found[usual])
     found[other] += wrap_range * np.round((near - found[other]) / wrap_range)
     beyond = (values[other] < np.min(values[usual])) | (values[other] > np.max(values[usual]))
     found[other[beyond]] = np.max(found[usual]) + 10.0 * np.ptp(found[usual])
@@ -80,26 +87,32 @@ def find_wrap(values: Array) -> Wrap | None:
     square wave stands still before and after a jump. If there are wrong values as well, the jumps
     are those that remain without all values that leave the signal and return to it.
     """
-    none = np.zeros(len(values), bool)
-    found = _find_wrap(values, none)
-    if found is None or found.range is None:
-        apart = excursions(values)
-        if apart.any():
-            again = _find_wrap(np.where(apart, np.nan, values), apart)
-            if again is not None and (found is None or again.range is not None):
-                return again
+    found = _find_wrap(values, np.zeros(len(values), bool))
+    if (found is not None and found.range is not None) or np.isnan(values).all():
+        return found
+    low, high = np.nanquantile(values, [0.01, 0.99])
+    far = np.abs(values - 0.5 * (low + high)) > high - low
+    for apart in (far, far | excursions(values)):
+        again = _find_wrap(np.where(apart, np.nan, values), apart) if apart.any() else None
+        if again is not None and again.range is not None:
+            others = values[~apart & ~np.isnan(values)]
+            beyond = (values < others.min()) | (values > others.max())
+            # A fast angle returns to a value in a few rows, but not as an angle.
+            return replace(again, apart=apart & (beyond | excursions(values, again.range)))
+        found = found or again
     return found
 
 
 def excursions(values: Array, wrap_range: float | None = None) -> NDArray[np.bool_]:
     """Return rows (N,) that differ by a tenth of the range from those before and after them.
 
-    wrap_range: differences are those of angles; without it, the range is that of the values.
+    wrap_range: differences are those of angles, and above the usual motion, as a fast angle is
+    where it was after some rows; without it, the range is that of the values.
     """
     at = np.flatnonzero(~np.isnan(values))
     known = values[at]
     found = np.zeros(len(values), bool)
-    if not len(known):
+    if len(known) < 2:
         return found
     spread = wrap_range or float(np.ptp(np.quantile(known, [0.01, 0.99])))
 
@@ -107,12 +120,15 @@ def excursions(values: Array, wrap_range: float | None = None) -> NDArray[np.boo
         turns = 0.0 if wrap_range is None else wrap_range * np.round((a - b) / wrap_range)
         return np.asarray(np.abs(a - b - turns))
 
+    least = 0.1 * spread
+    if wrap_range is not None:
+        least = max(least, _TURNS * float(np.median(difference(known[1:], known[:-1]))))
     for length in range(1, _LONGEST_EXCURSION + 1):
         before, after = known[: -length - 1], known[length + 1 :]
         inside = [known[1 + i : len(known) - length + i] for i in range(length)]
         height = np.min([difference(value, before) for value in inside], axis=0)
         returns = difference(after, before) < 0.25 * height
-        begins = np.flatnonzero((height > 0.1 * spread) & returns)
+        begins = np.flatnonzero((height > least) & returns)
         for i in range(length):
             found[at[begins + 1 + i]] = True
     return found

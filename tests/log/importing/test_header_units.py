@@ -26,6 +26,8 @@ from levid.log.importing.header_units import header_cell, unit_slip
         ("V1", "V1", ""),
         ("Phase (deg)", "Phase", "deg"),
         ("[mm]", "[mm]", "mm"),
+        ("Pos (counts)", "Pos", "counts"),
+        ("control[0]", "control[0]", ""),
     ],
 )
 def test_header_is_split_into_name_and_unit(text, name, unit):

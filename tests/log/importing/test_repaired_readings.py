@@ -165,6 +165,16 @@ def test_spikes_of_a_wrapped_angle_turn_no_other_row(bad, keys):
     assert len(remarks) == 2
 
 
+def test_spikes_of_a_fast_angle_turn_no_other_row():
+    true = np.cumsum(0.3 * 2 * np.pi * np.sin(5 * TIME_S))  # up to 0.3 turns from row to row
+    wrapped = np.angle(np.exp(1j * true))
+    wrapped[[300, 1700]] = [50.0, -50.0]
+    found, _ = read(wrapped)
+    known = ~np.isnan(found)
+    assert np.flatnonzero(~known).tolist() == [300, 1700]
+    np.testing.assert_allclose((found - true)[known], found[0] - true[0], atol=1e-9)
+
+
 def test_saw_tooth_that_is_commanded_is_kept():
     saw = 100.0 * (0.7 * TIME_S % 1.0)
     found, remarks = read(0.5 * saw, saw)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from ..errors import LogError
-from .outlying_values import find_codes, find_spikes, lone_level
+from .outlying_values import Spikes, find_codes, find_spikes, lone_level
 from .signals_yaml import Column, SignalsFile
 from .wrapped_values import Wrap, excursions, find_wrap, unwrapped
 
@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 _MOST_LISTED = 5
 _SET = ("input", "excitation", "reference")
 """Roles of signals that a person or a program sets: they may change suddenly by design."""
+_KEEP, _MASK = "outliers: keep", "if they are wrong, set outliers: mask for this column"
 _AFTER = 3
 """Most rows from a change of an input to a jump of an output that it causes."""
 _MOST_AFTER = 0.1
@@ -73,16 +74,8 @@ def _with_codes_left_out(
             f"{column.name}: {np.count_nonzero(stated)} values listed in missing are left out"
         )
     codes = find_codes(values, levels=column.role in _SET)
-    if codes.any():
-        found = f"{column.name}: {_shown(codes, values, signals, 'values that mean no reading')}"
-        if column.outliers == "keep":
-            remarks.append(f"{found} are kept (outliers: keep)")
-            return values
-        values[codes] = np.nan
-        remarks.append(
-            f"{found} are left out as missing; to keep them, set outliers: keep for this column"
-        )
-    return values
+    words, kept = "values that mean no reading", _KEEP if column.outliers == "keep" else ""
+    return _left_out(column, signals, values, codes, words, kept, remarks)
 
 
 def _without_spikes(
@@ -105,38 +98,43 @@ def _without_spikes(
             f"{signals.rows.first + rows[0]} on, far from all other values, is kept; if it means "
             f"no reading, set missing: [{read[rows[0]]:.6g}] in the signals file"
         )
-    spikes = find_spikes(values)
-    is_set, certain, doubtful = column.role in _SET, spikes.certain, spikes.doubtful
-    if is_set or column.outliers == "keep" or _caused(np.flatnonzero(certain), inputs):
-        certain, doubtful = np.zeros(len(values), bool), certain | (doubtful & (not is_set))
-    if column.outliers == "mask":
-        certain, doubtful = spikes.certain | spikes.doubtful, np.zeros(len(values), bool)
-    words = "values far from those before and after"
-    if doubtful.any():
-        why = (
-            "outliers: keep"
-            if column.outliers == "keep"
-            else "it may jump by design"
-            if is_set
-            else "an input or the signal itself jumps as far elsewhere"
-        )
-        remarks.append(
-            f"{column.name}: {_shown(doubtful, read, signals, words)} are kept ({why}); if they "
-            "are wrong, set outliers: mask for this column"
-        )
-    if certain.any():
-        remarks.append(
-            f"{column.name}: {_shown(certain, read, signals, words)} are left out as missing; to "
-            "keep them, set outliers: keep for this column"
-        )
-        values = np.where(certain, np.nan, values)
-    return values
+    spikes, none = find_spikes(values), np.zeros(len(values), bool)
+    reason = "the signal itself jumps as far elsewhere"
+    if column.role in _SET:
+        spikes, reason = Spikes(none, spikes.certain), "it may jump by design"
+    elif _caused(np.flatnonzero(spikes.certain), inputs):
+        spikes = Spikes(none, spikes.certain | spikes.doubtful)
+        reason = "an input or the signal itself jumps as far"
+    found = read.copy()
+    for mask, kept in ((spikes.certain, ""), (spikes.doubtful, f"{reason}; {_MASK}")):
+        why = {"keep": _KEEP, "mask": ""}.get(column.outliers or "", kept)
+        words = "values far from those before and after"
+        found = _left_out(column, signals, found, mask, words, why, remarks)
+    return np.where(np.isnan(found), np.nan, values)
 
 
-def _shown(mask: NDArray[np.bool_], values: Array, signals: SignalsFile, words: str) -> str:
+def _left_out(
+    column: Column,
+    signals: SignalsFile,
+    values: Array,
+    mask: NDArray[np.bool_],
+    words: str,
+    kept: str,
+    remarks: list[str],
+) -> Array:
+    """Return values with NaN in a mask, unless there is a reason to keep them; tell in any case."""
     rows = np.flatnonzero(mask)
+    if not len(rows):
+        return values
     at = _listed([f"{values[row]:.6g} in row {signals.rows.first + row}" for row in rows])
-    return f"{len(rows)} {words} ({at})"
+    found = f"{column.name}: {len(rows)} {words} ({at})"
+    if kept:
+        remarks.append(f"{found} are kept ({kept})")
+        return values
+    remarks.append(
+        f"{found} are left out as missing; to keep them, set outliers: keep for this column"
+    )
+    return np.where(mask, np.nan, values)
 
 
 def _without_wraps(

@@ -26,6 +26,8 @@ _LONGEST_SPIKE = 5
 _OVER_NOISE = 15.0
 """Least height of a spike over the standard deviation of the change from row to row. A Gaussian
 value is beyond 15 standard deviations once in 10^50 rows."""
+_OVER_MOTION = 3.0
+"""Least height of a spike over the median step in the rows around it."""
 _OVER_STEPS = 5.0
 """Least height of a spike over the largest step in the rows around it, as an impact moves the
 signal in the rows after it as well; of one that is certain, over all other steps of the record."""
@@ -131,8 +133,11 @@ def _spikes(values: Array) -> tuple[Mask, Mask]:
     step = np.abs(np.diff(values))
     if not step.any():
         return none, none
-    scale = max(1.4826 * float(np.median(step)), float(np.min(step[step > 0.0])))
-    high = height > _OVER_NOISE * scale
+    # The change of the step is noise; the step itself is motion as well.
+    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(3.0)
+    scale = max(noise, float(np.min(step[step > 0.0])))
+    motion = np.append(0.0, median_filter(step, 2 * _AROUND + 1, mode="mirror"))
+    high = height > np.maximum(_OVER_NOISE * scale, _OVER_MOTION * motion)
     for begin, end in runs(high):
         high[begin:end] = end - begin <= _LONGEST_SPIKE
     # Steps into and out of high rows do not count: they are what is judged.

@@ -240,6 +240,13 @@ def test_spike_is_left_out_and_shown(y, rows, sign):
     assert "are kept" in remark
 
 
+def test_spike_within_the_range_of_a_smooth_motion_is_left_out():
+    bad = 5.0 * np.sin(2 * np.pi * 3.0 * TIME_S) + 1e-2 * NOISE
+    bad[700] -= 2.0  # 15 times the step from row to row
+    found, _ = read(bad)
+    assert np.flatnonzero(np.isnan(found)).tolist() == [700]
+
+
 def test_lost_decimal_point_is_left_out():
     bad = 2.5 + 0.1 * SMOOTH
     bad[1234] *= 1000

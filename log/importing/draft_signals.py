@@ -18,6 +18,7 @@ from .clock_restarts import written_once
 from .columns_of_file import FileColumn, FileColumns, list_columns, read_columns
 from .header_units import header_unit
 from .number_cells import NumberFormat
+from .outlying_values import find_codes
 from .time_axis import time_axis
 from .time_columns import TIME_UNITS, ClockColumn, find_clock
 from .wrapped_values import find_wrap
@@ -83,8 +84,9 @@ def draft_signals(path: Path) -> Draft:
         listed = "; ".join(found.others[:20]) or "nothing"
         raise LogError(f"{path}: expected columns of numbers of one length, found {listed}")
     values, damage = read_columns(path, found)
-    clocks, rate_lines, fill_in = _time(path, found, values)
-    entries = _entries(found.columns, values, clocks)
+    readings = [np.where(find_codes(each, levels=True), np.nan, each) for each in values]
+    clocks, rate_lines, fill_in = _time(path, found, readings)
+    entries = _entries(found.columns, values, readings, clocks)
     sign_lines, open_signs = _signs(found)
     fill_in = (*open_signs, *fill_in)
     roles = {entry.role for entry in entries}
@@ -184,7 +186,10 @@ def _time(
 
 
 def _entries(
-    columns: Sequence[FileColumn], values: Sequence[Array], clocks: Sequence[ClockColumn]
+    columns: Sequence[FileColumn],
+    values: Sequence[Array],
+    readings: Sequence[Array],
+    clocks: Sequence[ClockColumn],
 ) -> list[_Entry]:
     clock_of = {clock.index: clock for clock in clocks}
     words = [set(_words(column.label)) for column in columns]
@@ -219,7 +224,7 @@ def _entries(
         if ending and not stem.endswith(f"_{ending}"):
             stem = f"{stem}_{ending}"
         span = _span(values[number], column.unit)
-        wrap = find_wrap(values[number])
+        wrap = find_wrap(readings[number])
         if wrap is not None and wrap.range is not None:
             span += f"; may begin again after {wrap.range:.10g} (key wraps)"
         entries.append(_Entry(column, _unique(stem, taken), unit, scale, role, doubt, span))

@@ -84,7 +84,9 @@ def find_clock(
         parts = [
             _clock(other, columns[other], values[other], None)
             for other in named
-            if other != index and _is_fraction(columns[index], columns[other])
+            if other != index
+            and not np.isnan(values[other]).all()  # nor empty
+            and _is_fraction(columns[index], columns[other])
         ]
         if np.mean(steps > 0.0) < _STEADY:
             # A clock that stands still from row to row counts seconds or days; others the rest.

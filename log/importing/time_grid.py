@@ -124,7 +124,8 @@ def fit_grid(
         rough_s = stated_period_s
     if rough_s > 0.0:
         # Stamps with few digits become coarser as they grow.
-        for some in np.array_split(time_s, _SECTIONS):
+        sections = min(_SECTIONS, len(time_s) // _MIN_ROWS)
+        for some in np.array_split(time_s, sections):
             resolution_s = max(resolution_s, _resolution(some - some[0], rough_s))
     coarsest_s = _MOST_RESOLUTION * rough_s if stated_period_s is None else np.inf
     if not 0.5 * rough_s < resolution_s <= coarsest_s or rough_s <= 0.0:

@@ -123,7 +123,7 @@ def excursions(values: Array, wrap_range: float | None = None) -> NDArray[np.boo
     least = 0.1 * spread
     if wrap_range is not None:
         least = max(least, _TURNS * float(np.median(difference(known[1:], known[:-1]))))
-    for length in range(1, _LONGEST_EXCURSION + 1):
+    for length in range(1, min(_LONGEST_EXCURSION, len(known) - 2) + 1):
         before, after = known[: -length - 1], known[length + 1 :]
         inside = [known[1 + i : len(known) - length + i] for i in range(length)]
         height = np.min([difference(value, before) for value in inside], axis=0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 import scipy.io
@@ -162,3 +164,25 @@ def test_file_without_numbers_is_refused(tmp_path):
     (tmp_path / "empty.csv").touch()
     with pytest.raises(LogError, match="found nothing"):
         draft_signals(tmp_path / "empty.csv")
+
+
+def test_short_and_strange_tables_are_drafted_or_refused(tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "a.csv"
+    cells = [
+        "",
+        "1",
+        "-9999",
+        "nan",
+        "x",
+        "1e308",
+        "2024-05-17",
+        "12:00:00",
+        "360",
+        "1,5",
+        "-1e308",
+    ]
+    for _ in range(300):
+        rows, width = rng.integers(1, 14), rng.integers(1, 5)
+        path.write_text("\n".join(";".join(rng.choice(cells, width)) for _ in range(rows)))
+        with contextlib.suppress(LogError):
+            draft_signals(path)

@@ -281,6 +281,14 @@ def test_level_far_from_all_other_values_is_shown():
     assert "set missing: [0]" in remark
 
 
+@pytest.mark.parametrize("rows", [0, 1, 2, 3, 5, 7, 12, 25])
+@pytest.mark.parametrize("keys", [{}, {"wraps": 360}])
+def test_short_or_empty_columns_are_kept(rows, keys):
+    for y in (np.full(rows, np.nan), np.arange(rows) % 2.0, 100.0 * np.arange(rows) % 360.0):
+        found, _ = read(y, np.zeros(rows), **keys)
+        assert found.shape == y.shape
+
+
 def test_stated_codes_are_left_out():
     bad = SMOOTH.copy()
     bad[[10, 20]] = 0.5

@@ -19,6 +19,7 @@ from ..log.catalogue.results import RESULT
 from .model import Model, Parameter, Parameters, model_of_config
 from .output_folder import claimed_folder
 from .plant import Mode, Modes, Plant, beam_text, plant_of
+from .read_only_arrays import with_read_only_arrays
 from .result_file import REPORT_FILES, REPORT_FOLDERS, save_result, with_origin
 
 if TYPE_CHECKING:
@@ -48,17 +49,17 @@ class Identification:
         self._simulator = simulator
         self._page: Path | None = None
 
-    @property
+    @cached_property
     def results(self) -> Study:
         """The results of all methods as computed; not a part of the stable API."""
-        grey = self._found.grey
-        remarks = () if grey is None else grey.remarks
-        return replace(self._found, notes=tuple(dict.fromkeys((*self._found.notes, *remarks))))
+        return with_read_only_arrays(replace(self._found, notes=self.notes))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Logs left out with the reason, and models that should not be used."""
-        return self.results.notes
+        grey = self._found.grey
+        remarks = () if grey is None else grey.remarks
+        return tuple(dict.fromkeys((*self._found.notes, *remarks)))
 
     @cached_property
     def answer(self) -> str:

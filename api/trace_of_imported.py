@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from ..identification.trace.force_trace.force_trace_summary import force_summary
 from ..identification.trace.force_trace.model_with_effects import model_with_effects
 from ..identification.trace.force_trace.trace_imported import ForceTrace, trace_imported
 from ..model.effects.candidate_effects import all_effects
+from .read_only_arrays import with_read_only_arrays
 from .trace import Trace
 
 if TYPE_CHECKING:
@@ -36,10 +38,10 @@ class ImportedTrace(Trace):
         super().__init__(session)
         self._found = found
 
-    @property
+    @cached_property
     def results(self) -> ForceTrace:
         """The result as computed; not a part of the stable API."""
-        return self._found
+        return with_read_only_arrays(self._found)
 
     @property
     def answer(self) -> str:

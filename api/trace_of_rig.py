@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from ..identification.trace.traced_model import model_after
 from ..identification.trace.worker_pool import cluster_workers, local_workers
 from ..model.effects.candidate_effects import all_effects
 from .model_file_errors import naming_the_file
+from .read_only_arrays import with_read_only_arrays
 from .trace import Trace
 
 if TYPE_CHECKING:
@@ -65,10 +67,10 @@ class RigTrace(Trace):
         super().__init__(session)
         self._found, self._drawn = found, drawn
 
-    @property
+    @cached_property
     def results(self) -> Result:
         """The result as computed; not a part of the stable API."""
-        return self._found
+        return with_read_only_arrays(self._found)
 
     @property
     def _views(self) -> Views:

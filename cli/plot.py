@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .path_types import ANY, LOG
-from .progress import progress
+from .progress import progress, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -107,6 +107,7 @@ def _of_logs(
     end_s: float | None,
     spectrum: bool,
 ) -> Figure:
+    from ..identification.records.one_plant import different_plants
     from ..log.exporting.columns import groups_of
     from ..log.log_stream import LogStream
     from ..report.logs.signal_data import (
@@ -118,6 +119,8 @@ def _of_logs(
     from ..report.logs.signal_figure import spectrum_figure_of_logs, time_figure_of_logs
 
     streams = dict(zip(_distinct_names(logs), map(LogStream, logs), strict=True))
+    if found := different_plants(streams.values()):
+        say(f"note: these logs are not of one plant: {found}")
     first = next(iter(streams.values()))
     pose = ["pose"] if "pose" in groups_of(first) else [c.name for c in default_columns(first)]
     found: dict[str, Any] = {}

@@ -23,6 +23,7 @@ from .greybox.free_parameters import free_parameters
 from .greybox.validation import metric_of
 from .open_loop import HIGHEST_ORDER
 from .options import Options
+from .records.computed_outputs import computed_outputs
 from .records.excitation_kind import excitations
 from .records.held_out_rows import held_out_rows
 from .records.persistence_of_excitation import dependent_inputs
@@ -104,6 +105,12 @@ def _of_inputs(training: Sequence[Record], options: Options) -> Iterator[str]:
             f"the inputs independently, or give {d.name} the role other"
         )
     wanted = options.order or HIGHEST_ORDER
+    for output in computed_outputs(training):
+        if not output.of_inputs:  # else no model is recommended
+            yield (
+                f"{output.words}, to one part in a million: it is no measurement of its own. Leave "
+                "it out, or check whether a column stands twice in the signals file"
+            )
     for name, found in zip(names, excitations(training), strict=True):
         waves = found.count
         if found.kind == "periodic" and waves < wanted:

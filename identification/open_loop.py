@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.second_order import StateSpace
-from .nonparametric.feedback_test import feedback_findings, input_origins
 from .nonparametric.frequency_response import ResponseEstimate, frequency_response
 from .nonparametric.markov_parameters import convolve, most_taps, nested_estimates
+from .nonparametric.records_without_a_model import findings_of_records
 from .options import Options
 from .records.drop_short_records import drop_short_records, left_out_remarks
 from .records.held_out_rows import HeldOut, held_out_rows
@@ -90,8 +90,7 @@ def identify_open_loop(
     part_stops = [held_out_rows(r.y, r.v, VALIDATION_SHARE).start for r in training]
 
     _check_outputs([r.rows(0, stop) for r, stop in zip(training, part_stops, strict=True)])
-    origins = input_origins(records)
-    feedback = feedback_findings(origins, records[0].feedback)
+    origins, feedback = findings_of_records(records)
     spectra = _spectra(training, options)
     impulse = _impulse_length(training, part_stops, options)
     trial, simulated, predicted = _by_order(training, part_stops, impulse.taps, options, progress)
@@ -157,6 +156,7 @@ def identify_open_loop(
         ),
         doubts=feedback.doubts,
         origins=origins,
+        feedback=records[0].feedback,
     )
 
 

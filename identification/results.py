@@ -155,6 +155,8 @@ class OpenLoopPoint:
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     origins: tuple[InputOrigin, ...] = ()
+    feedback: bool = False
+    """Whether the records are declared to be of a control loop."""
 
     @property
     def trusted(self) -> bool:

@@ -16,6 +16,7 @@ from .greybox.declared_model_from_config import declared_model
 from .greybox.experiment.experiment_from_log import Experiment
 from .greybox.identify_greybox import DECLARE_LOOP, GreyBox, identify_grey_box, is_white
 from .identify import identify
+from .nonparametric.records_without_a_model import why_no_model
 from .nonparametric.robust_multisine import (
     BestLinearApproximation,
     at_every_position,
@@ -127,7 +128,9 @@ def study(
             )
             notes += _effects_note(model)
             if all(e.correlations is None for e in found.experiments):
-                grey = _with_column_hint(grey, logs, model)  # the rig's logs have fixed columns
+                # The rig's logs have a known loop and fixed columns.
+                grey = replace(grey, doubts=why_no_model(found.records))
+                grey = _with_column_hint(grey, logs, model)
         except (IdentificationError, np.linalg.LinAlgError) as error:
             reason = _in_words(error)
             if points is None and not multisine:

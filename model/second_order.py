@@ -85,7 +85,8 @@ def discretise(model: SecondOrder, Ts_s: float, hold: Literal["zoh", "foh"] = "z
     if late_s < 1e-9 * Ts_s:
         late_s = 0.0
     m, depth = len(plant.A), whole + (late_s > 0)
-    A_step, effects = _step(plant.A, plant.B, Ts_s, late_s, hold)
+    with np.errstate(over="ignore", invalid="ignore"):  # no numbers for absurd parameters
+        A_step, effects = _step(plant.A, plant.B, Ts_s, late_s, hold)
     size = m + depth * p
     Ad, Bd = np.zeros((size, size)), np.zeros((size, p))
     C, D = np.hstack([np.eye(n), np.zeros((n, size - n))]), np.zeros((n, p))

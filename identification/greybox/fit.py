@@ -90,8 +90,8 @@ def fit_model(
     fitted for each record. The solver is damped Gauss-Newton on QR factors, within the bounds of
     the model file; priors are additional rows. Standard errors are those of maximum likelihood.
 
-    Raises IdentificationError without experiments, for a record that is too short, or for a model
-    without values.
+    Raises IdentificationError without experiments, for a record that is too short, for an output
+    that never moves, or for a model without values.
     """
     if not experiments:
         raise IdentificationError("expected at least one record to fit, found none")
@@ -131,6 +131,7 @@ class _Search:
     def __init__(
         self, config: ModelConfig, experiments: Sequence[Experiment], progress: Progress
     ) -> None:
+        _require_motion(config, experiments)
         self.hold, self.experiments, self.progress = config.input, tuple(experiments), progress
         self.model = declared_model(config)
         self.parameters = free_parameters(config)
@@ -308,6 +309,17 @@ class _Search:
 
     def share(self) -> float:
         return 1.0 - 0.85**self.steps
+
+
+def _require_motion(config: ModelConfig, experiments: Sequence[Experiment]) -> None:
+    """Check for outputs that never move: any model with enough noise explains them."""
+    still = np.all([np.ptp(e.y, axis=0) == 0.0 for e in experiments], axis=0)
+    if np.any(still):
+        names = ", ".join(d.name for d, rests in zip(config.dof, still, strict=True) if rests)
+        raise IdentificationError(
+            f"expected outputs that vary, found {names} constant in every row that the fit uses: "
+            "check the sensors' connection, or leave these DOF out of the model"
+        )
 
 
 def _shortened(e: Experiment) -> Experiment:

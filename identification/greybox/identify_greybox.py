@@ -48,7 +48,8 @@ class GreyBox:
     each record. `balance`: the fit of the force balance, None if the prediction errors are white;
     its parameters and intervals are those of `fitted`. `remarks` list contradictions between model
     and records. `columns`: what columns have to be for the model to explain the records, such as "x
-    and y are exchanged"; empty if nothing suggests that they are wrong.
+    and y are exchanged"; empty if nothing suggests that they are wrong. `doubts`: why the records
+    give no model, however well it fits.
     """
 
     declared: ModelConfig
@@ -60,6 +61,7 @@ class GreyBox:
     remarks: tuple[str, ...] = ()
     balance: ForceBalance | None = None
     columns: str = ""
+    doubts: tuple[str, ...] = ()
 
     @property
     def explains_nothing(self) -> bool:

@@ -110,10 +110,14 @@ def input_origins(records: Sequence[Record]) -> tuple[InputOrigin, ...]:
 
 @dataclass(frozen=True)
 class FeedbackFindings:
-    """What the origin of the inputs means for a model: reasons not to use it, and remarks."""
+    """What the origin of the inputs means for a model: reasons not to use it, and remarks.
+
+    of_any: those of the reasons that hold for any model of the records, a declared one too.
+    """
 
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    of_any: tuple[str, ...] = ()
 
 
 def feedback_findings(origins: Sequence[InputOrigin], declared: bool) -> FeedbackFindings:
@@ -121,7 +125,7 @@ def feedback_findings(origins: Sequence[InputOrigin], declared: bool) -> Feedbac
 
     declared: whether the records are declared to be of a control loop.
     """
-    doubts, remarks = [], []
+    doubts, remarks, of_any = [], [], []
     for origin in origins:
         share = f"{100.0 * origin.from_noise:.0f} %"
         if origin.unexcited:
@@ -134,6 +138,7 @@ def feedback_findings(origins: Sequence[InputOrigin], declared: bool) -> Feedbac
                 f"record it with its role (excitation or reference), and {loop} in the signals "
                 "file (key loop)"
             )
+            of_any.append(doubts[-1])
         elif origin.fed_back and not declared:
             found = (
                 f"input {origin.name} depends on past outputs, so the records are of a control "
@@ -150,7 +155,7 @@ def feedback_findings(origins: Sequence[InputOrigin], declared: bool) -> Feedbac
                 )
             else:
                 remarks.append(f"{found}. {remedy}")
-    return FeedbackFindings(tuple(doubts), tuple(remarks))
+    return FeedbackFindings(tuple(doubts), tuple(remarks), tuple(of_any))
 
 
 def _scaled(parts: Sequence[Array]) -> list[Array]:

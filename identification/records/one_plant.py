@@ -38,6 +38,12 @@ def require_one_plant(logs: Iterable[LogHead]) -> None:
     Raises:
         LogError: two logs are of different plants; it names both logs, and both rigs.
     """
+    if found := different_plants(logs):
+        raise LogError(f"expected logs of one plant, found {found}; {_SEPARATELY}")
+
+
+def different_plants(logs: Iterable[LogHead]) -> str:
+    """Return the first two logs that cannot be of one plant, and why; empty if all can be."""
     first: LogHead | None = None
     compared: set[tuple[bytes | None, ...]] = set()
     """Attachments that were compared before: most logs of a session have the same."""
@@ -51,10 +57,8 @@ def require_one_plant(logs: Iterable[LogHead]) -> None:
             continue
         one, other = _plant(first), _plant(log)
         if problem := _difference(one, other):
-            raise LogError(
-                f"expected logs of one plant, found {one.described} and {other.described}: "
-                f"{problem}; {_SEPARATELY}"
-            )
+            return f"{one.described} and {other.described}: {problem}"
+    return ""
 
 
 @dataclass(frozen=True)

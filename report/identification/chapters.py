@@ -272,10 +272,9 @@ def _grey_box_chapter(
 ) -> Chapter:
     report = grey_box_report(grey, points, signals, truth)
     beside = compare_with_black_box(grey, others)
-    unexcited = any(origin.unexcited for p in others for origin in p.origins)
     as_good = beside is not None and beside.as_good
     as_good = as_good and not (grey.columns or grey.explains_nothing)
-    reliable = not unexcited and (report.explains or as_good)
+    reliable = not grey.doubts and (report.explains or as_good)
     return Chapter(
         "Fitted model",
         grey_box_answer(report, beside),

@@ -213,6 +213,8 @@ def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None)
     worst = report.worst
     error = "" if worst is None else f" ({worst.over_noise:.2f} times the noise)"
     bounds = "".join(f" {text}" for text in at_bound_sentences(report.grey))
+    if report.grey.doubts:
+        return f"Do not use a model of these records: {'; '.join(report.grey.doubts)}."
     if report.explains:
         found = (
             f"Use the fitted model '{name}': it explains these records down to the noise{error}."

@@ -28,7 +28,7 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
     texts = [
         Text(
             f"The plant with {p} input{'s' * (p != 1)} and {m} output{'s' * (m != 1)} was "
-            "identified from input to output, without a controller. "
+            f"identified from input to output{_loop_words(point)}. "
             + (
                 f"The simulation model has {point.order} states, the one-step-ahead predictor "
                 f"{point.predictor_order}."
@@ -50,6 +50,12 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
         left = len(point.holdout) - _MOST_SHOWN
         texts.append(Text(f"The other {left} records fit better; the table below lists all."))
     return tuple(texts)
+
+
+def _loop_words(point: OpenLoopPoint) -> str:
+    if point.feedback:
+        return " in the declared control loop, from what one step ahead tells"
+    return ", assuming that the outputs do not drive the inputs: no control loop is declared"
 
 
 def open_loop_answer(point: OpenLoopPoint, signals: SignalLabels) -> str:
@@ -220,7 +226,7 @@ def _fit_words(held: HoldOut, signals: SignalLabels) -> str:
         if held.predicted_fit_percent is not None:
             kinds["predicted one step ahead"] = held.predicted_fit_percent[i]
         fits = [f"{kind} with a fit of {x:.1f} %" for kind, x in kinds.items() if np.isfinite(x)]
-        words.append(f"{name} {', '.join(fits)}")
+        words.append(f"{name} {', '.join(fits) or 'rests there, which tests no model'}")
     return "; ".join(words)
 
 

@@ -54,6 +54,8 @@ def imported_answer(result: ForceOutcome) -> str:
 
     Effects that were found with exchanged columns are no answer: they only stand for the exchange.
     """
+    if result.doubts:
+        return f"These records show no effect that can be trusted: {'; '.join(result.doubts)}."
     if result.exchange is not None:
         uncertain = (
             [] if not result.laws else ["the effects found with the present columns mislead"]

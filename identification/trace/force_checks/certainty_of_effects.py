@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...covariance_scaling import correlation
+from ...rounding import TINY
 from ..force_balance.force_record import ForceModel, ForceRecord
 from ..force_balance.free_numbers import numbers
 from ..force_balance.noise_through_laws import noise_with_laws
@@ -51,7 +52,7 @@ class FittedRows:
         """Return what a model with columns `own` (C, rows, n), without weights, leaves of each
         training record. noise: what that of the outputs gives in each (n,)."""
         records = training.records
-        force = _rms([r.acting_force(point) for r in records])
+        force = np.maximum(_rms([r.acting_force(point) for r in records]), TINY)
         missing = _rms([r.varying(r.missing_force(point)) for r in records])
         left = _rms(residual_of_richest(point, records, own, unlisted=True))
         pooled = _pooled(noise, records)
@@ -124,7 +125,7 @@ class Certainty:
             own = Beside.of(found.point, part).plain.own
             noise = noise_with_laws(found.point, part.records, noisier)
             between.append(FittedRows.of(found.point, part, own, noise, told))
-        force = _rms([r.acting_force(found.point) for r in fitted])
+        force = np.maximum(_rms([r.acting_force(found.point) for r in fitted]), TINY)
         force_errors = relative_force_errors(point, fitted, of_point)
         left_share, takes = _left_share(found, training, rows.noise, options)
         impossible = impossible_matrices(

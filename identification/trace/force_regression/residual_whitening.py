@@ -87,7 +87,9 @@ def whitening_of(residuals: Sequence[Array], row_s: Sequence[float], cutoff_hz: 
         density += share * np.stack(columns, axis=1)
     inside = (freq_hz > 0.0) & (freq_hz <= cutoff_hz)
     smooth = _smoothed(density[inside])
-    return Whitening(freq_hz[inside], np.maximum(smooth, ROUNDING * smooth.max(axis=0)), cutoff_hz)
+    most = smooth.max(axis=0)
+    least = np.where(most > 0.0, ROUNDING * most, 1.0)  # a residual of zeros has no spectrum
+    return Whitening(freq_hz[inside], np.maximum(smooth, least), cutoff_hz)
 
 
 def _smoothed(density: Array) -> Array:

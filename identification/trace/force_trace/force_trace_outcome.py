@@ -40,7 +40,7 @@ class ForceOutcome:
     at_turns, the DOF with friction where force is missing only while they turn. nearest: the
     rejected candidate that would take most of what is left, as a clause; empty without one.
     exchange: the exchange of columns with which a model without effects explains as much. check:
-    the checks of the model with all effects.
+    the checks of the model with all effects. doubts: why the records can show no effect.
     """
 
     laws: tuple[FoundLaw, ...]
@@ -60,6 +60,7 @@ class ForceOutcome:
     nearest: str
     exchange: Exchange | None
     check: ModelCheck
+    doubts: tuple[str, ...] = ()
 
     @property
     def doubtful(self) -> bool:
@@ -76,7 +77,7 @@ class ForceOutcome:
         """Whether the model lacks something that may bias its numbers beyond their intervals."""
         inexact = any(law.inexact for law in self.laws)
         more = self.form_matters or self.lacking or self.beyond_noise
-        return self.doubtful or inexact or bool(more) or self.exchange is not None
+        return bool(self.doubtful or inexact or more or self.exchange is not None or self.doubts)
 
     @property
     def verdict(self) -> str:
@@ -163,6 +164,7 @@ def force_outcome(trace: ForceTrace) -> ForceOutcome:
         nearest,
         trace.exchange,
         check,
+        trace.doubts,
     )
 
 

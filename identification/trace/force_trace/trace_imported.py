@@ -18,6 +18,8 @@ from ...greybox.force_balance.band_limited_signals import (
 )
 from ...greybox.free_parameters import FreeParameters
 from ...greybox.identify_greybox import stated_noise
+from ...nonparametric.records_without_a_model import why_no_model
+from ...records.record import Record
 from ...value_with_interval import PERCENT
 from ..force_balance.force_record import ForceModel, ForceRecord, force_records
 from ..force_balance.lines_in_missing_force import missing_lines
@@ -73,7 +75,7 @@ class ForceTrace:
     stated, or a free run tells nothing. curves: free forms of a law's
     signal that surely improve on it, by the law's identity. noise_sd (n,): of each output;
     noise_stated: whether the signals files state it. fitted, reported: the records below the band's
-    limit `limit_hz`.
+    limit `limit_hz`. doubts: why the records can show no effect, whatever fits them.
     """
 
     config: ModelConfig
@@ -101,6 +103,7 @@ class ForceTrace:
     reported: tuple[ForceRecord, ...]
     notes: tuple[str, ...]
     options: SearchOptions
+    doubts: tuple[str, ...] = ()
 
 
 def trace_imported(
@@ -117,7 +120,17 @@ def trace_imported(
     """
     progress("reading logs", 0.0)
     records, notes = read_records(logs, config, 0.0)
-    return trace_records(list(records.values()), config, effects, progress, options, notes)
+    found = trace_records(list(records.values()), config, effects, progress, options, notes)
+    return replace(found, doubts=why_no_model([_record(r) for r in records.values()]))
+
+
+def _record(record: TraceRecord) -> Record:
+    e, places = record.experiment, record.places
+    units = tuple(places.command_unit(c) for c in range(places.coils))
+    return Record(
+        e.name, e.Ts_s, e.u, e.y, places.actuators, units, places.dof, places.dof_units,
+        feedback=e.feedback, held=e.hold == "zoh",
+    )  # fmt: skip
 
 
 def trace_records(

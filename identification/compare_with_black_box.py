@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from .greybox.identify_greybox import GreyBox
 from .greybox.validation import Validation
 from .results import OpenLoopPoint
+from .subspace.fit_percent import BLOCKS, larger_by_chance
 from .subspace.held_out_simulation import HoldOut
 
 Array = NDArray[np.float64]
 
 _ALIKE = 1.1
 """Ratio of two RMS errors up to which they count as alike: 10 % are less than one decibel."""
-_BLOCKS = 8
-"""Blocks in time from which the standard error of a difference is estimated."""
 _FIT_PERCENT = 50.0
 """Least fit of a simulation that is better than none, where the black-box model has none."""
 _MOVES = 1e-3
@@ -84,7 +83,7 @@ def _of_record(v: Validation, held: HoldOut, stable: bool) -> Iterator[BesideBla
     measured = held.measured[-rows:]
     by_simulation = stable and v.metric == "free_run"
     black_box = held.simulated if by_simulation else held.predicted
-    if black_box is None or rows < _BLOCKS:
+    if black_box is None or rows < BLOCKS:
         return
     errors = measured - black_box[-rows:]
     whole = held.measured.std(axis=0)
@@ -96,14 +95,7 @@ def _of_record(v: Validation, held: HoldOut, stable: bool) -> Iterator[BesideBla
         ours = float(v.error_percent[i] if by_simulation else v.one_step_percent[i])
         good = bool(ours <= _ALIKE * theirs)
         if by_simulation and not good:
-            good = _by_chance(v.measured[-rows:, i] - v.simulated[-rows:, i], errors[:, i])
+            good = larger_by_chance(v.measured[-rows:, i] - v.simulated[-rows:, i], errors[:, i])
         if not stable and v.metric == "free_run":
             good = good or bool(v.fit_percent[i] > _FIT_PERCENT)
         yield BesideBlackBox(v.record, i, by_simulation, ours, theirs, stable, good)
-
-
-def _by_chance(ours: Array, theirs: Array) -> bool:
-    """Return whether the larger squared error is within two standard errors of the difference."""
-    squares = ((e - e.mean()) ** 2 for e in (ours, theirs))
-    worse = np.array([part.mean() for part in np.array_split(np.subtract(*squares), _BLOCKS)])
-    return bool(worse.mean() <= 2.0 * worse.std(ddof=1) / np.sqrt(_BLOCKS))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .closed_loop import identify_closed_loop, wanted_rows
@@ -23,6 +22,7 @@ from .records.record import (
     operating_points,
 )
 from .records.signal_names import SignalNames
+from .records.singular_equations import singular_equations
 from .records.value_check import check_sizes
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 
@@ -67,18 +67,13 @@ def identify(
         method = identify_open_loop if first.controller is None else _identify_closed_loop_point
         try:
             # The matrices are small: several BLAS threads would only wait for each other.
-            with threadpool_limits(1):
+            with threadpool_limits(1), singular_equations("the black-box model"):
                 check_inputs(point.records)
                 for r in point.records:
                     check_sizes(r.name, r.v, r.y)
                 results.append(method(point, options, report_share))
         except IdentificationError as error:
             errors[where] = error
-        except np.linalg.LinAlgError as error:
-            errors[where] = IdentificationError(
-                f"the linear algebra of the black-box model failed ({error}): its equations are "
-                "singular. Check that inputs and outputs vary, and their units"
-            )
         report_share(1.0)
     reasons = [f"{where}: {error}" for where, error in errors.items()]
     if not results:

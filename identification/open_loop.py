@@ -28,6 +28,7 @@ from .subspace.prediction_error_method import (
     refine_output_error,
 )
 from .subspace.response_uncertainty import disagreements, modes, response_with_errors
+from .subspace.signs_of_records import records_of_other_sign
 from .subspace.simulation import InnovationModel, simulate, spectral_radius
 from .subspace.starting_models import StartingModels, starting_models
 
@@ -115,6 +116,10 @@ def identify_open_loop(
         modes(fit.model, fit.covariance),
         modes(predictor.model, predictor_fit.covariance),
     )
+    holdout = tuple(
+        _hold_out(original, record, held, fit.model if stable else None, predictor)
+        for original, record, held in zip(records, centred, held_out, strict=True)
+    )
     return OpenLoopPoint(
         beam_m=point.beam_m,
         records=tuple(r.name for r in records),
@@ -137,10 +142,7 @@ def identify_open_loop(
         predictor_modes=mode_lists[1],
         response=response_with_errors(IdentifiedPlant(fit.model), fit.covariance, spectra.freq_hz),
         from_spectra=spectra,
-        holdout=tuple(
-            _hold_out(original, record, held, fit.model if stable else None, predictor)
-            for original, record, held in zip(records, centred, held_out, strict=True)
-        ),
+        holdout=holdout,
         remarks=(
             *(f"{r.name}: {text}" for r in records for text in r.remarks),
             *left_out_remarks(too_short),
@@ -154,7 +156,7 @@ def identify_open_loop(
             *([] if stable else [_UNSTABLE]),
             *(disagreements(*mode_lists, ("simulation", "prediction")) if simulator else ()),
         ),
-        doubts=feedback.doubts,
+        doubts=(*records_of_other_sign(holdout, records[0].output_names), *feedback.doubts),
         origins=origins,
         feedback=records[0].feedback,
     )

@@ -14,6 +14,7 @@ from ..log.reader import Log, read_log
 from .checks_before_fit import check_before_fit
 from .greybox.declared_model_from_config import declared_model
 from .greybox.experiment.experiment_from_log import Experiment
+from .greybox.free_parameters import free_parameters
 from .greybox.identify_greybox import DECLARE_LOOP, GreyBox, identify_grey_box, is_white
 from .identify import identify
 from .nonparametric.records_without_a_model import why_no_model
@@ -33,11 +34,16 @@ from .records.periodic_records import (
 )
 from .records.record import IdentificationError, NotARecordError, Record, describe_position
 from .records.rig_model import no_model
-from .results import ClosedLoopPoint, IdentificationResult
+from .records.singular_equations import singular_equations
+from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
+from .trace.force_checks.columns_in_another_unit import common_factor
 from .trace.force_trace.column_hint import column_hint
 from .trace.subtract_declared_effects import experiment_of
 
 Progress = Callable[[str, float], None]
+COMPARE_COLUMNS = (
+    "Compare columns, signs and units in the signals file with the rig, import and identify again"
+)
 
 
 @dataclass(frozen=True)
@@ -119,36 +125,55 @@ def study(
     errors += errors_found
     notes += [f"no best linear approximation: {error}" for error in errors_found]
     if model is not None and found.experiments:
-        try:
-            grey = identify_grey_box(
-                model,
-                found.experiments,
-                options.holdout,
-                lambda what, share: report(f"fit, {what}", 0.5 + 0.5 * share),
-            )
-            notes += _effects_note(model)
-            if all(e.correlations is None for e in found.experiments):
-                # The rig's logs have a known loop and fixed columns.
-                grey = replace(grey, doubts=why_no_model(found.records))
-                grey = _with_column_hint(grey, logs, model)
-        except (IdentificationError, np.linalg.LinAlgError) as error:
-            reason = _in_words(error)
+        grey, unfitted = _grey_box(model, found, logs, options, report)
+        if unfitted is not None:
             if points is None and not multisine:
-                raise (errors[0] if errors else reason) from None
-            notes.append(f"the declared model was not fitted: {reason}")
+                raise (errors[0] if errors and not unfitted.columns else unfitted)
+            notes.append(f"the declared model was not fitted: {unfitted}")
+            points = _with_doubt(points, unfitted.columns)
+        else:
+            notes += _effects_note(model)
     if errors and points is None and grey is None and not multisine:
         others = "".join(f"; {reason}" for reason in found.unfitted[:1])
         raise IdentificationError(f"{errors[0]}{others}")
     return Study(points, multisine, grey, (*before, *notes), before)
 
 
-def _in_words(error: Exception) -> IdentificationError:
-    if isinstance(error, IdentificationError):
-        return error
-    return IdentificationError(
-        f"its equations are singular ({error}): check that inputs and outputs vary, the units, and "
-        "the model's start values"
-    )
+class _NotFittedError(IdentificationError):
+    """Why the declared model was not fitted; columns: what columns have to be for it, or empty."""
+
+    def __init__(self, reason: IdentificationError, columns: str) -> None:
+        hint = f"it looks as if {columns}. {COMPARE_COLUMNS}" if columns else ""
+        super().__init__(f"{reason}; {hint}" if hint else str(reason))
+        self.columns = hint
+
+
+def _grey_box(
+    model: ModelConfig,
+    found: _LogContents,
+    logs: Sequence[Path],
+    options: Options,
+    report: Progress,
+) -> tuple[GreyBox | None, _NotFittedError | None]:
+    """Fit the declared model to the records, or return why it was not fitted.
+
+    Columns in another unit or with another sign may be why: the rig's logs have fixed columns.
+    """
+    imported = all(e.correlations is None for e in found.experiments)
+    try:
+        with singular_equations("the fit of the declared model"):
+            grey = identify_grey_box(
+                model,
+                found.experiments,
+                options.holdout,
+                lambda what, share: report(f"fit, {what}", 0.5 + 0.5 * share),
+            )
+    except IdentificationError as error:
+        return None, _NotFittedError(error, _column_hint(logs, model) if imported else "")
+    if not imported:
+        return grey, None
+    grey = replace(grey, doubts=why_no_model(found.records))
+    return _with_column_hint(grey, logs, model), None
 
 
 def _with_column_hint(grey: GreyBox, logs: Sequence[Path], model: ModelConfig) -> GreyBox:
@@ -156,16 +181,37 @@ def _with_column_hint(grey: GreyBox, logs: Sequence[Path], model: ModelConfig) -
 
     A fit of wrong columns may drift, and then seems to need a loop: that remark leads astray.
     """
-    if is_white(grey.fit) and not grey.explains_nothing:
+    free = free_parameters(model)
+    fitted = np.array([grey.fit.values[name] for name in free.names])
+    in_proportion = common_factor(fitted, free.prior_mean) == 1.0
+    if in_proportion and is_white(grey.fit) and not grey.explains_nothing:
         return grey
-    try:
-        exchange = column_hint(logs, model)
-    except (IdentificationError, np.linalg.LinAlgError):
-        return grey  # too short or too quiet to tell
-    if exchange is None:
+    columns = _column_hint(logs, model)
+    if not columns:
         return grey
     remarks = tuple(text for text in grey.remarks if not text.endswith(DECLARE_LOOP))
-    return replace(grey, columns=exchange.words, remarks=remarks)
+    return replace(grey, columns=columns, remarks=remarks)
+
+
+def _column_hint(logs: Sequence[Path], model: ModelConfig) -> str:
+    """Return what columns have to be for the model to explain the records; empty for nothing."""
+    try:
+        with singular_equations("columns"):
+            exchange = column_hint(logs, model)
+    except IdentificationError:
+        return ""  # too short or too quiet to tell
+    return "" if exchange is None else exchange.words
+
+
+def _with_doubt(found: IdentificationResult | None, doubt: str) -> IdentificationResult | None:
+    """Return the result with a doubt about the models of records without a known controller."""
+    if found is None or not doubt:
+        return found
+    points = tuple(
+        replace(p, doubts=(doubt, *p.doubts)) if isinstance(p, OpenLoopPoint) else p
+        for p in found.points
+    )
+    return replace(found, points=points)
 
 
 def _checks(found: _LogContents, model: ModelConfig | None, options: Options) -> tuple[str, ...]:

@@ -245,7 +245,7 @@ _FAULTS: dict[str, tuple[Fault, str]] = {
         "identical",
     ),
     "exact gain": (_with(lambda u, y, _: (u, 3.0 * u[:, np.arange(y.shape[1]) % u.shape[1]])), ""),
-    "noise alone": (_with(lambda u, y, rng: (u, rng.normal(size=y.shape))), ""),
+    "noise alone": (_with(lambda u, y, rng: (u, rng.normal(size=y.shape))), "noise alone"),
     "spike": (_with(_spike), ""),
     "clipped": (_each(lambda a: np.clip(a, -0.5 * a.std(), 0.5 * a.std())), ""),
     "output dies": (_with(lambda u, y, _: (u, y * (np.arange(len(y)) < 40)[:, None])), ""),

@@ -32,8 +32,6 @@ Complex = NDArray[np.complex128]
 
 DECLARE_LOOP = "Declare the loop in the signals file"
 """Remedy of a remark on a model that drifts."""
-_NOTHING = 100.0
-"""Error over the output in per cent, from which a simulation of zeros is as good."""
 _NEAR = 0.5
 """Error of a simulation over the output's standard deviation up to which it is an instrument."""
 _WHITE = 1e-3
@@ -65,13 +63,14 @@ class GreyBox:
 
     @property
     def explains_nothing(self) -> bool:
-        """Whether the errors on held-out rows are as large as the outputs, or no parameter fits.
+        """Whether the errors on held-out rows are as large as the outputs, up to chance, or no
+        parameter fits.
 
         A noise that is estimated as large as the motion leaves white errors for any model.
         """
-        errors = np.concatenate([v.error_percent for v in self.validations] or [np.zeros(0)])
-        known = errors[np.isfinite(errors)]
-        return not self.fit.free or bool(len(known) and np.all(known >= _NOTHING))
+        tested = [v for v in self.validations if np.any(np.isfinite(v.error_percent))]
+        nothing = bool(tested) and not any(v.explains_something for v in tested)
+        return nothing or not self.fit.free
 
     def response(self, schedule: Mapping[str, float], freq_hz: Array) -> Complex:
         """Return the response (F, n, p) from command to output at freq_hz (F,) in Hz, with delay.

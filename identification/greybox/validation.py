@@ -12,7 +12,7 @@ from scipy.signal import welch
 from scipy.stats import chi2, norm
 
 from ...model.declared_model import DeclaredModel
-from ..subspace.fit_percent import nrmse_fit_percent
+from ..subspace.fit_percent import BLOCKS, larger_by_chance, nrmse_fit_percent
 from .experiment.experiment_from_log import Experiment
 from .experiment.intersample_input import Hold
 from .force_balance.instrumental_variables import force_percent
@@ -84,6 +84,14 @@ class Validation:
     def error_percent(self) -> Array:
         """Error over the output (n,) in per cent, RMS without the mean."""
         return np.asarray(100.0 * self.error_rms / self.measured.std(axis=0))
+
+    @property
+    def explains_something(self) -> bool:
+        """Whether the error at an output is smaller than the output, by more than chance."""
+        if len(self.measured) < BLOCKS:
+            return bool(np.any(self.error_percent < 100.0))
+        pairs = zip(self.measured.T, (self.measured - self.simulated).T, strict=True)
+        return any(bool(np.all(np.isfinite(e))) and not larger_by_chance(y, e) for y, e in pairs)
 
 
 def metric_of(model: DeclaredModel, experiment: Experiment) -> Metric:

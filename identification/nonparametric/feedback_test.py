@@ -45,6 +45,9 @@ _EXACT = 1e-4
 _ROUNDING = 1e-18
 """Share of an output's variance that counts as rounding of its computation."""
 _HALF = 0.5
+_BEGINS, _GROWS = 0.02, (0.3, 0.75)
+"""Share of its largest value with which an answer begins, and the most in this row and the next of
+an answer that grows."""
 _HELD = 0.5
 """Share of rows in which an input does not change, from which it is a sequence of steps."""
 _PERIODIC = 1e-6
@@ -58,7 +61,8 @@ class InputOrigin:
     dependence: share of what is new in an output that later inputs tell, of the output with the
     most; chance: its probability without feedback. from_noise: share of the input that is the
     answer to what is new in the outputs and in other inputs; motion_from_noise: the same of the
-    output with the least. Both are 0 without feedback.
+    output with the least. Both are 0 without feedback. late: whether the answer of an input without
+    excitation to the outputs begins small and grows.
     """
 
     name: str
@@ -66,11 +70,18 @@ class InputOrigin:
     chance: float
     from_noise: float = 0.0
     motion_from_noise: float = 0.0
+    late: bool = False
 
     @property
     def fed_back(self) -> bool:
         """Whether the input depends on past outputs."""
         return self.chance < CHANCE and self.dependence > LEAST_DEPENDENCE
+
+    @property
+    def follows(self) -> bool:
+        """Whether the input follows the outputs as a mass follows a force: a controller answers in
+        its first rows. Then inputs and outputs may be exchanged."""
+        return self.unexcited and self.late
 
     @property
     def unexcited(self) -> bool:
@@ -104,6 +115,8 @@ def input_origins(records: Sequence[Record]) -> tuple[InputOrigin, ...]:
             fewer = min(lags, max(_FEWEST_LAGS, rows // (_ROWS_A_TAP * (m + p))))
             of_input, of_motion = _not_from_input(y, u, j, fewer)
             origin = replace(origin, from_noise=of_input, motion_from_noise=of_motion)
+            if origin.unexcited:
+                origin = replace(origin, late=_is_late(y, u, j, fewer))
         found.append(origin)
     return tuple(found)
 
@@ -128,7 +141,15 @@ def feedback_findings(origins: Sequence[InputOrigin], declared: bool) -> Feedbac
     doubts, remarks, of_any = [], [], []
     for origin in origins:
         share = f"{100.0 * origin.from_noise:.0f} %"
-        if origin.unexcited:
+        if origin.follows:
+            doubts.append(
+                f"it looks as if inputs and outputs are exchanged: {share} of input {origin.name} "
+                "is the answer to the outputs, and it comes as late as that of a mass to a force. "
+                "Compare the roles of the columns in the signals file with the rig. If they are "
+                "right, only noise excites this loop: add an excitation, and declare the loop"
+            )
+            of_any.append(doubts[-1])
+        elif origin.unexcited:
             loop = "declare the controller" if declared else "declare the loop and its controller"
             doubts.append(
                 f"only noise excites this loop: {share} of input {origin.name} is feedback of the "
@@ -274,6 +295,33 @@ def _not_from_input(
     left = np.sum((now - caused)[:, columns] ** 2, axis=0) / np.sum(now[:, columns] ** 2, axis=0)
     shares = np.maximum(1.0 - left, 0.0)
     return float(shares[-1]), float(shares[:-1].min())
+
+
+def _is_late(y: Sequence[Array], u: Sequence[Array], j: int, lags: int) -> bool:
+    """Return whether input j follows the outputs, in the same row or later, as a mass does a force.
+
+    A controller answers at once, or after its delay. The answer of a mass begins with the square of
+    the period and grows.
+    """
+    own = [part[:, [j]] for part in u]
+    columns = []
+    for a, b in zip(y, own, strict=True):
+        past = _shifted(b, range(-lags, 0), lags, len(b))
+        columns.append(np.hstack([_shifted(a, range(-lags, 1), lags, len(a)), past]))
+    now = np.concatenate([b[lags:, 0] for b in own])
+    taps = np.linalg.lstsq(np.vstack(columns), now, rcond=1e-9)[0]
+    m = y[0].shape[1]
+    driven = taps[: m * (lags + 1)].reshape(lags + 1, m)[::-1]
+    past = taps[m * (lags + 1) :][::-1]
+    answer = np.zeros((lags + 1, m))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(lags + 1):
+            answer[k] = driven[k] + past[:k] @ answer[:k][::-1]
+    size = np.linalg.norm(answer, axis=1)
+    largest = float(size.max())
+    begin = int(np.argmax(size > _BEGINS * largest))
+    grown = size[begin : begin + len(_GROWS)]
+    return bool(np.isfinite(largest) and np.all(grown <= np.array(_GROWS[: len(grown)]) * largest))
 
 
 def _answer(taps: Array, new: Array, lags: int) -> Array:

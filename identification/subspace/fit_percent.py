@@ -18,3 +18,17 @@ def nrmse_fit_percent(measured: Array, modelled: Array) -> Array:
     error = np.linalg.norm(measured - modelled, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where(spread > 0, 100.0 * (1.0 - error / spread), np.nan))
+
+
+BLOCKS = 8
+"""Blocks in time from which the standard error of a difference is estimated."""
+
+
+def larger_by_chance(ours: Array, theirs: Array) -> bool:
+    """Return whether the mean square of errors (N,) exceeds that of others by chance at most.
+
+    That is by no more than two standard errors, from blocks of time; no excess is chance, too.
+    """
+    squares = ((e - e.mean()) ** 2 for e in (ours, theirs))
+    worse = np.array([part.mean() for part in np.array_split(np.subtract(*squares), BLOCKS)])
+    return bool(worse.mean() <= 2.0 * worse.std(ddof=1) / np.sqrt(BLOCKS))

@@ -123,7 +123,7 @@ def modes(model: StateSpace, covariance: Array) -> Modes:
         ds = (np.outer(left, right) / (product * pole * model.Ts_s)).ravel()
         size = abs(s[k])
         along = np.real(np.conj(s[k]) * ds) / size  # d|s|
-        frequency_se[k] = np.sqrt(along @ cov @ along) / (2 * np.pi)
+        frequency_se[k] = np.sqrt(max(along @ cov @ along, 0.0)) / (2 * np.pi)
         damping = -ds.real / size + s[k].real * along / size**2
         damping_se[k] = np.sqrt(max(damping @ cov @ damping, 0.0))
     return Modes(np.abs(s) / (2 * np.pi), frequency_se, -s.real / np.abs(s), damping_se)

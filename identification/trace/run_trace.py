@@ -21,6 +21,7 @@ from ..greybox.declared_model_from_config import declared_model
 from ..greybox.fit import first_noise, fit_model
 from ..greybox.free_parameters import free_parameters
 from ..records.record import IdentificationError
+from ..records.singular_equations import singular_equations
 from .linearised.gram_matrices import Linearised
 from .linearised.linearisation_point import WorkingPoint, with_likely_noise
 from .linearised.linearise_prediction_errors import blocks_in, linearise
@@ -91,7 +92,7 @@ def trace(
     records that the model does not fit.
     """
     # Each process uses one core: BLAS threads would compete for the same cores.
-    with threadpool_limits(1):
+    with threadpool_limits(1), singular_equations("the search for effects"):
         return _trace(logs, config, effects, workers, progress, options or SearchOptions())
 
 

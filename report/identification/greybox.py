@@ -12,6 +12,7 @@ from ...identification.greybox.fitted_modes import fitted_modes
 from ...identification.greybox.identify_greybox import GreyBox
 from ...identification.greybox.validation import Validation
 from ...identification.results import ClosedLoopPoint
+from ...identification.run_identification import COMPARE_COLUMNS
 from ...identification.subspace.response_uncertainty import SURE_95, Modes
 from ..figures.compute_fitted_response import Place, fitted_curves, places_of
 from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
@@ -228,14 +229,14 @@ def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None)
     elif report.grey.explains_nothing and not report.grey.columns:
         found = (
             f"The fitted model '{name}' explains nothing of these records: its error on held-out "
-            "rows is as large as the outputs, or they determine none of its parameters. Check the "
-            "order, signs and units of the columns, the model file, and the excitation."
+            "rows is as large as the outputs, up to chance, or they determine none of its "
+            "parameters. Check the order, signs and units of the columns, the model file, and "
+            "the excitation."
         )
     elif report.grey.columns:
         found = (
             f"The fitted model '{name}' does not explain these records{error}. It looks as if "
-            f"{report.grey.columns}: then it explains nearly all of the force. Compare columns, "
-            "signs and units in the signals file with the rig, import and identify again."
+            f"{report.grey.columns}: then it explains nearly all of the force. {COMPARE_COLUMNS}."
         )
     else:
         found = (

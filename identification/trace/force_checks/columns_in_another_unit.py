@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ....model.effects import coil_gain, output_readings
 from ....model.effects.base import Effect, Placed
@@ -29,6 +30,11 @@ from ..force_search.opposite_gain import (
 from ..search_options import SearchOptions
 from .exchanged_columns import Exchange, explains
 
+Array = NDArray[np.float64]
+
+_FAR, _ALIKE, _FEWEST = 4.0, 1.6, 3
+"""Factor by which declared parameters are not guessed wrong together, by which they may differ from
+it, and how many of them can show it."""
 _STEP, _STEPS = 2.0**SearchOptions.resolved, SearchOptions.resolved
 """Ratio of neighbouring factors that fits begin with, and how many there are either way."""
 
@@ -48,8 +54,6 @@ def explaining_unit(
     """
     plain = training.plain
     before, after = (missing_share(plain.at(p)) for p in (declared, found))
-    if float(before.max()) ** 2 <= options.least_gain:
-        return None
     named = {p.effect.effect_class for p in found.placed}
     places = training.records[0].signals.places
     every = [*coil_gain.effects(places), *output_readings.effects(places, Extent.typical(places))]
@@ -58,6 +62,14 @@ def explaining_unit(
         for e in every
         if e.key in FACTOR_LESS_ONE and e.effect_class not in named
     ]
+    if float(before.max()) ** 2 <= options.least_gain:
+        free = declared.parameters
+        scale = common_factor(declared.values, free.prior_mean)
+        scaled = [] if scale == 1.0 else [_scaled(declared, e, scale) for e in gains]
+        as_good = [
+            p for p in scaled if np.max(missing_share(plain.at(p)) - before) < options.least_force
+        ]
+        return Exchange(_either(as_good), before, before) if as_good else None
 
     def explained(points: Iterable[ForceModel]) -> list[ForceModel]:
         return [p for p in points if explains(missing_share(plain.at(p)), before, after, options)]
@@ -79,6 +91,36 @@ def explaining_unit(
     ]
     point = min([point, *in_proportion], key=distance_from_declared)
     return Exchange(_words(point.placed[-1]), before, missing_share(plain.at(point)))
+
+
+def common_factor(values: Array, declared: Array) -> float:
+    """Return the factor that most parameters (K,) have in common to their declared values.
+
+    It is 1 if they have none, or one that a poor guess of them explains. If all numbers of a model
+    are free, its forces and with them all parameters may grow in proportion.
+    """
+    told = declared != 0.0
+    ratios = values[told] / declared[told]
+    logs = np.log(ratios[ratios > 0.0])
+    if len(logs) < _FEWEST or abs(middle := float(np.median(logs))) < np.log(_FAR):
+        return 1.0
+    near = np.abs(logs - middle) < np.log(_ALIKE)
+    return float(np.exp(middle)) if 2 * np.count_nonzero(near) > len(declared) else 1.0
+
+
+def _scaled(declared: ForceModel, effect: Effect, scale: float) -> ForceModel:
+    """Return the fitted model with parameters near the declared ones, and a gain instead."""
+    sign, free = FACTOR_LESS_ONE[effect.key], declared.parameters
+    factor = scale if sign < 0.0 else 1.0 / scale
+    placed = (*declared.placed, Placed(effect, (), (sign * (factor - 1.0),)))
+    values = np.clip(declared.values / scale, free.low, free.high)
+    return replace(declared, placed=placed).with_values(values)
+
+
+def _either(points: Sequence[ForceModel]) -> str:
+    """Return in words what one or the other gain says: of one column before those of several."""
+    ordered = sorted(points, key=lambda p: len(p.placed[-1].effect.where))
+    return ", or ".join(dict.fromkeys(_words(p.placed[-1]) for p in ordered[:2]))
 
 
 def _fitted(start: ForceModel, effect: Effect, training: Training) -> Iterator[ForceModel]:
@@ -112,7 +154,8 @@ def _in_proportion(point: ForceModel) -> Iterator[ForceModel]:
     declared, gain = point.parameters.prior_mean, point.placed[-1]
     if np.any(point.values * declared <= 0.0):
         return
-    grown = float(np.exp(np.mean(np.log(declared / point.values))))
+    # Of parameters that only have a sum in common, one may be next to nothing: hence the median.
+    grown = float(np.exp(np.median(np.log(declared / point.values))))
     sign, factor = FACTOR_LESS_ONE[gain.effect.key], column_factor(gain)
     values = np.clip(grown * point.values, point.parameters.low, point.parameters.high)
     for changed in (factor * grown, factor / grown):

@@ -21,6 +21,9 @@ from ..search_options import SearchOptions
 Array = NDArray[np.float64]
 
 
+_MOST_NAMED, _FEWEST_RECORDS = 2, 3
+
+
 @dataclass(frozen=True)
 class Exchange:
     """Columns that the records may have in another order, with another sign or in another unit.
@@ -65,8 +68,12 @@ def explaining_exchange(
         Exchange(words, declared, missing(changed, sd[order]))
         for words, changed, order in _exchanged(records)
     ]
-    best = min(every, key=lambda e: float(e.after.max()))
-    return best if explains(best.after, declared, found, options) else None
+    least = min(float(e.after.max()) for e in every)
+    alike = [e for e in every if float(e.after.max()) < least + options.least_force]
+    if not alike or not explains(alike[0].after, declared, found, options):
+        return None
+    # A record has the signs of an input and an output in one product: both are named.
+    return replace(alike[0], words=", or ".join(e.words for e in alike[:_MOST_NAMED]))
 
 
 def explains(left: Array, declared: Array, found: Array, options: SearchOptions) -> bool:
@@ -90,6 +97,11 @@ def _exchanged(
     units = [places.command_unit(c) for c in range(places.coils)]
     for order, sign, words in _orders(places.actuators, units):
         yield words, [_with_inputs(r, order, sign) for r in records], np.arange(n)
+    if len(records) >= _FEWEST_RECORDS:  # else most of them do not tell what is right
+        for k, one in enumerate(records):
+            for order, sign, words in _signs(places.dof):
+                changed = [*records[:k], _with_outputs(one, order, sign), *records[k + 1 :]]
+                yield f"{words} in record '{one.name}'", changed, order
 
 
 def _orders(
@@ -102,6 +114,11 @@ def _orders(
             order = own.copy()
             order[[i, j]] = j, i
             yield order, plus, f"{names[i]} and {names[j]} are exchanged"
+    yield from _signs(names)
+
+
+def _signs(names: Sequence[str]) -> Iterator[tuple[NDArray[np.intp], Array, str]]:
+    own = np.arange(len(names))
     for i, name in enumerate(names):
         yield own, np.where(own == i, -1.0, 1.0), f"{name} has the other sign"
 

@@ -110,6 +110,8 @@ def explaining_columns(
     start: the model as its file declares it; declared, found: fitted, without and with effects.
     """
     limit_hz, options = balance.limit_hz, balance.options
+    if balance.notes:  # an output at rest could stand in any place
+        return None
 
     def missing(records: Sequence[TraceRecord], sd: Array) -> Array:
         below = force_records(records, balance.hold, limit_hz, balance.law_hz, sd)

@@ -20,6 +20,7 @@ from ...greybox.free_parameters import FreeParameters
 from ...greybox.identify_greybox import stated_noise
 from ...nonparametric.records_without_a_model import why_no_model
 from ...records.record import Record
+from ...records.singular_equations import singular_equations
 from ...value_with_interval import PERCENT
 from ..force_balance.force_record import ForceModel, ForceRecord, force_records
 from ..force_balance.lines_in_missing_force import missing_lines
@@ -143,7 +144,7 @@ def trace_records(
 ) -> ForceTrace:
     """Return the same for records in memory; `notes` become those of the result."""
     # Every matrix is small: BLAS threads would cost more than they give.
-    with threadpool_limits(1):
+    with threadpool_limits(1), singular_equations("the search for effects"):
         return _traced(records, config, effects, progress, options or SearchOptions(), notes)
 
 

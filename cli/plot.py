@@ -119,8 +119,8 @@ def _of_logs(
     from ..report.logs.signal_figure import spectrum_figure_of_logs, time_figure_of_logs
 
     streams = dict(zip(_distinct_names(logs), map(LogStream, logs), strict=True))
-    if found := different_plants(streams.values()):
-        say(f"note: these logs are not of one plant: {found}")
+    if differ := different_plants(streams.values()):
+        say(f"note: these logs are not of one plant: {differ}")
     first = next(iter(streams.values()))
     pose = ["pose"] if "pose" in groups_of(first) else [c.name for c in default_columns(first)]
     found: dict[str, Any] = {}

@@ -47,3 +47,17 @@ def imported(folder: Path, name: str, table: np.ndarray, columns: str = SIGNALS)
     signals.write_text(columns)
     import_file(data, signals, log)
     return log
+
+
+def moved(rows: int, seed: int = 1) -> np.ndarray:
+    """Return forces and positions (rows, 2) of a mass of 1.8 kg on the spring and damper of MASS.
+
+    The force is random below 25 Hz and has the record as its period, so the motion is exact.
+    """
+    rng = np.random.default_rng(seed)
+    freq_hz = np.fft.rfftfreq(rows, 1 / 250.0)
+    force = np.fft.rfft(rng.normal(size=rows)) * (freq_hz < 25.0)
+    s = 2j * np.pi * freq_hz
+    position = np.fft.irfft(force / (1.8 * s * s + 12.0 * s + 800.0), rows)
+    noise = 1e-3 * position.std() * rng.normal(size=rows)
+    return np.column_stack((np.fft.irfft(force, rows), position + noise))

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from arrays_of_results import arrays_of
 
 import levid
 from levid.config.model import load_model
@@ -45,6 +46,12 @@ def test_errors_fall_and_are_explained(traced: levid.Trace) -> None:
     assert 0.9 < traced.explained <= 1.0
     assert traced.verdict.startswith("found: ")
     assert v.percent_after["y"] is not None
+
+
+def test_arrays_of_the_results_are_read_only(traced: levid.Trace) -> None:
+    arrays = dict(arrays_of(traced, "traced", set()))
+    assert "traced.results.errors" in arrays
+    assert [name for name, array in arrays.items() if array.flags.writeable] == []
 
 
 def test_errors_that_are_not_numbers_are_shown_as_unknown(traced: levid.Trace) -> None:

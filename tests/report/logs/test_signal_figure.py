@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from levid.config.shipped import shipped
 from levid.log.errors import LogError
 from levid.log.log_stream import LogStream
+from levid.log.reader import read_log
 from levid.log.writer import LogWriter
 from levid.report.logs.signal_data import named_columns, signal_spectra, signals_over_time
 from levid.report.logs.signal_figure import time_figure_of_logs
@@ -108,6 +110,23 @@ def test_a_log_twice_or_without_the_signal_is_an_error(
     code, _, err = levid("plot", log, other, "pose")
     assert code == 1
     assert "pose" in err
+
+
+def test_a_figure_of_two_plants_says_so(
+    log: Path, tmp_path: Path, levid: Callable[..., Any]
+) -> None:
+    rows = read_log(log)
+    other = tmp_path / "other.mcap"
+    rig = shipped("rigs/loopback.yaml").read_bytes()
+    with LogWriter(
+        other, rows.rows.dtype, rate_hz=RATE_HZ, metadata={}, attachments={"rig.yaml": rig},
+        units={"noise_m": "m", "gap_m": "m", "time_s": "s", "state": "1"},
+    ) as writer:  # fmt: skip
+        writer.write(rows.rows[:2000], rows.log_time_ns[:2000])
+    code, _, err = levid("plot", log, other, "noise_m")
+    assert code == 0
+    assert "note: these logs are not of one plant" in err
+    assert "'loopback'" in err
 
 
 def test_logs_of_rigs_with_other_numbers_of_sensors_are_an_error(log: Path) -> None:

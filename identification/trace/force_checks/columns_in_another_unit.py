@@ -56,18 +56,18 @@ def explaining_unit(
     before, after = (missing_share(plain.at(p)) for p in (declared, found))
     named = {p.effect.effect_class for p in found.placed}
     places = training.records[0].signals.places
-    every = [*coil_gain.effects(places), *output_readings.effects(places, Extent.typical(places))]
+    laws = [*coil_gain.effects(places), *output_readings.effects(places, Extent.typical(places))]
     gains = [
         replace(e, amplitudes=tuple(replace(q, low=-np.inf, high=np.inf) for q in e.amplitudes))
-        for e in every
+        for e in laws
         if e.key in FACTOR_LESS_ONE and e.effect_class not in named
     ]
     if float(before.max()) ** 2 <= options.least_gain:
         free = declared.parameters
         scale = common_factor(declared.values, free.prior_mean)
-        scaled = [] if scale == 1.0 else [_scaled(declared, e, scale) for e in gains]
+        moved = [] if scale == 1.0 else [_scaled(declared, e, scale) for e in gains]
         as_good = [
-            p for p in scaled if np.max(missing_share(plain.at(p)) - before) < options.least_force
+            p for p in moved if np.max(missing_share(plain.at(p)) - before) < options.least_force
         ]
         return Exchange(_either(as_good), before, before) if as_good else None
 
@@ -81,16 +81,34 @@ def explaining_unit(
     if not far:
         return None
     left = [float(missing_share(plain.at(p)).max()) for p in far]
-    alike = [p for p, x in zip(far, left, strict=True) if x < min(left) + options.least_force]
-    point = min(alike, key=distance_from_declared)
-    in_proportion = [
+    least = min(left) + options.least_force
+    alike = [p for p, x in zip(far, left, strict=True) if x < least]
+    for p in list(alike):
+        alike += [q for q in _in_proportion(p) if float(missing_share(plain.at(q)).max()) < least]
+    alike = sorted((p for p in alike if _ratio(p.placed[-1]) > 2.0), key=distance_from_declared)
+    point, left_then = alike[0], missing_share(plain.at(alike[0]))
+    twins = [
         p
-        for p in _in_proportion(point)
-        if float(missing_share(plain.at(p)).max()) < min(left) + options.least_force
-        and _ratio(p.placed[-1]) > 2.0
+        for p in _of_the_other_kind(point, gains, len(places.dof), places.coils)
+        if np.max(missing_share(plain.at(p)) - left_then) < options.least_force
     ]
-    point = min([point, *in_proportion], key=distance_from_declared)
-    return Exchange(_words(point.placed[-1]), before, missing_share(plain.at(point)))
+    return Exchange(_either([point, *twins[:1]]), before, left_then)
+
+
+def _of_the_other_kind(
+    point: ForceModel, gains: Sequence[Effect], outputs: int, inputs: int
+) -> Iterator[ForceModel]:
+    """Yield the model with a gain of all commands in the place of one of all readings, or the other
+    way round: its equations are the same."""
+    own = point.placed[-1].effect
+    count = {-1.0: outputs, 1.0: inputs}
+    if len(own.where) < count[FACTOR_LESS_ONE[own.key]]:
+        return
+    for e in gains:
+        sign = FACTOR_LESS_ONE[e.key]
+        if sign != FACTOR_LESS_ONE[own.key] and len(e.where) == count[sign]:
+            amplitude = sign * (1.0 / column_factor(point.placed[-1]) - 1.0)
+            yield replace(point, placed=(*point.placed[:-1], Placed(e, (), (amplitude,))))
 
 
 def common_factor(values: Array, declared: Array) -> float:

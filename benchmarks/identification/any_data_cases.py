@@ -105,20 +105,20 @@ class _Plant:
 def draw(seed: int) -> Case:
     """Return the data set of a seed."""
     rng = np.random.default_rng(seed)
-    p, n = (int(rng.choice([1, 1, 1, 2, 2, 3, 4])) for _ in range(2))
+    p, n = (int(rng.choice([1, 1, 1, 1, 2, 2, 3, 4])) for _ in range(2))
     plant = _chain(n, p, rng)
     loop = str(rng.choice(["", "", "", "declared", "undeclared", "unknown"]))
     excitation = str(rng.choice(list(_EXCITATIONS)))
     if loop and rng.random() < 0.5:
         excitation = str(rng.choice(["weak noise", "none"]))
     fault = str(rng.choice(["right", *_FAULTS]))
-    rows, rate_hz = int(rng.choice([60, 150, 300, 600, 1000])), float(rng.choice([20.0, 50.0]))
+    rows, rate_hz = int(rng.choice([60, 250, 400, 800])), float(rng.choice([20.0, 50.0]))
     kp = np.zeros((p, n))
     kp[range(min(p, n)), range(min(p, n))] = 0.5 * plant.K[0, 0] if loop else 0.0
     records = []
     for k in range(int(rng.choice([1, 1, 1, 2, 3, 5]))):
-        length = rows if k == 0 or rng.random() < 0.5 else max(2, int(rows * rng.random()))
-        rate = rate_hz if k == 0 or rng.random() < 0.8 else 2.0 * rate_hz
+        length = rows if k == 0 or rng.random() < 0.7 else max(2, int(rows * rng.random()))
+        rate = rate_hz if k == 0 or rng.random() < 0.9 else 2.0 * rate_hz
         u = _EXCITATIONS[excitation](length, p, rng)
         records.append(plant.record(u, rate, rng, kp if loop else None))
     cannot = "no excitation" if excitation == "none" else ""
@@ -127,7 +127,8 @@ def draw(seed: int) -> Case:
         records = [change(record, rng) for record in records]
         cannot = reason or cannot
     model = _model(plant, rng)
-    signals = [_signals(r, loop, rng) for r in records]
+    unit = rng.random() < 0.2, int(rng.integers(0, p + n)), int(rng.integers(0, 3))
+    signals = [_signals(r, loop, *unit) for r in records]
     return Case(seed, excitation, fault, loop, cannot, tuple(records), tuple(signals), model)
 
 
@@ -258,7 +259,7 @@ _FAULTS: dict[str, tuple[Fault, str]] = {
 def _model(plant: _Plant, rng: Generator) -> dict[str, Any] | None:
     """Return a model of the plant, of other DOF, or none; its parameters are off by up to 30 %."""
     n, p = plant.B.shape
-    kind = rng.choice(["right", "right", "right", "fewer", "more", "names", "none"])
+    kind = rng.choice([*["right"] * 8, "fewer", "more", "names", "none"])
     if kind == "none":
         return None
     n += {"fewer": -1, "more": 1}.get(str(kind), 0)
@@ -293,17 +294,18 @@ def _model(plant: _Plant, rng: Generator) -> dict[str, Any] | None:
     }
 
 
-def _signals(record: DataRecord, loop: str, rng: Generator) -> dict[str, Any]:
-    """Return the SIGNALS.yaml of a record; one in five states another unit for a column."""
+def _signals(
+    record: DataRecord, loop: str, other_unit: bool, column: int, which: int
+) -> dict[str, Any]:
+    """Return the SIGNALS.yaml of a record, with another unit for one column if asked."""
     names = [(f"f{j}_n", "N", "input") for j in range(record.u.shape[1])]
     names += [(f"x{i}_m", "m", "output") for i in range(record.y.shape[1])]
     columns: list[dict[str, Any]] = [
         {"column": k, "name": name, "unit": unit, "role": role}
         for k, (name, unit, role) in enumerate(names)
     ]
-    if rng.random() < 0.2:
-        column = columns[int(rng.integers(0, len(columns)))]
-        column["unit"] = str(rng.choice(_UNITS[column["unit"]]))
+    if other_unit:
+        columns[column]["unit"] = _UNITS[columns[column]["unit"]][which]
     found: dict[str, Any] = {
         "levid": "signals",
         "rate_hz": record.rate_hz,

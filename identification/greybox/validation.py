@@ -83,7 +83,8 @@ class Validation:
     @property
     def error_percent(self) -> Array:
         """Error over the output (n,) in per cent, RMS without the mean."""
-        return np.asarray(100.0 * self.error_rms / self.measured.std(axis=0))
+        with np.errstate(divide="ignore", invalid="ignore"):  # an output may rest in these rows
+            return np.asarray(100.0 * self.error_rms / self.measured.std(axis=0))
 
     @property
     def explains_something(self) -> bool:

@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 
 CHANCE = 1e-6
 """Probability by chance below which later inputs depend on an output."""
+PERHAPS = 1e-3
+"""The same, below which a remark asks whether a controller drives the input. Short records of a
+loop whose excitation is as large as its noise do not show more."""
 LEAST_DEPENDENCE = 0.025
 """Least share of an output's new part that later inputs tell. Plants with friction or coarse
 readings and too few lags reach one per cent in open loop."""
@@ -76,6 +79,11 @@ class InputOrigin:
     def fed_back(self) -> bool:
         """Whether the input depends on past outputs."""
         return self.chance < CHANCE and self.dependence > LEAST_DEPENDENCE
+
+    @property
+    def perhaps_fed_back(self) -> bool:
+        """Whether the input seems to depend on past outputs, but by chance it might, too."""
+        return CHANCE <= self.chance < PERHAPS and self.dependence > LEAST_DEPENDENCE
 
     @property
     def follows(self) -> bool:
@@ -176,6 +184,12 @@ def feedback_findings(origins: Sequence[InputOrigin], declared: bool) -> Feedbac
                 )
             else:
                 remarks.append(f"{found}. {remedy}")
+        elif origin.perhaps_fed_back and not declared:
+            remarks.append(
+                f"input {origin.name} may depend on past outputs (probability by chance "
+                f"{origin.chance:.1g}). If a controller drives it, the model is biased: declare "
+                "the loop in the signals file (key loop)"
+            )
     return FeedbackFindings(tuple(doubts), tuple(remarks), tuple(of_any))
 
 

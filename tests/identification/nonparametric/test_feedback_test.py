@@ -124,3 +124,21 @@ def test_undeclared_loop_whose_noise_biases_is_to_be_declared() -> None:
     found = feedback_findings([origin], declared=False)
     assert "Declare the loop" in " ".join((*found.doubts, *found.remarks))
     assert feedback_findings([origin], declared=True) == feedback_findings([], declared=True)
+
+
+def test_loop_that_hardly_shows_is_asked_about() -> None:
+    """Noise as large as the excitation: by chance it might be, in one of some thousand records."""
+    asked = []
+    for seed in range(6):
+        record = Loop().record(2000, seed, excitation=0.3 * white(seed, 2000))
+        (origin,) = input_origins([record])
+        found = feedback_findings([origin], declared=False)
+        asked.append(bool(found.doubts or found.remarks))
+        assert feedback_findings([origin], declared=True).remarks == ()
+    assert sum(asked) >= 3
+
+
+def test_open_loop_is_not_asked_about() -> None:
+    for seed in range(20):
+        (origin,) = input_origins([Loop().record(ROWS, seed, given=white(seed, ROWS))])
+        assert feedback_findings([origin], declared=False) == feedback_findings([], declared=False)

@@ -278,6 +278,13 @@ def _spectrum(x: Array, before: int, length: int, Ts_s: float) -> tuple[Complex,
     The extension is odd, as in scipy's filtfilt; without the line the ends join.
     """
     after = length - len(x) - before
+    with np.errstate(invalid="ignore"):  # a law may be infinite along this motion
+        return _extended_spectrum(x, before, after, length, Ts_s)
+
+
+def _extended_spectrum(
+    x: Array, before: int, after: int, length: int, Ts_s: float
+) -> tuple[Complex, Line]:
     head = 2.0 * x[0] - x[before:0:-1]
     reflected = x[-2 : -min(after, len(x) - 1) - 2 : -1]
     tail = 2.0 * x[-1] - reflected

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from levid.benchmarks.daemon.hours_without_false_alarm import bending_sim
 from levid.benchmarks.daemon.spoilt_flight import PHASES, fly
 from levid.config.rig import RigConfig, load_rig
 from levid.config.shipped import shipped
@@ -28,14 +29,6 @@ GRID = (0.12, 0.0, -0.12)
 LONGEST = 26
 """Repeats until 200 readings with noise of 3.3 steps are found: 17 with the true noise."""
 NO_STEP_M = 1e-12
-BENDING = """
-effects:
-  - use: levid.sim.effects.flexible:FlexibleMode
-    freq_hz: 95
-    damping: 0.01
-    mass_kg: 1
-    shape: [1, -0.4, 0.7, 0.02, 0.9, 0.1, -0.8, 0.3, -0.2]
-"""
 
 
 def with_sensors(x_m: tuple[float, ...], y_m: tuple[float, ...]) -> RigConfig:
@@ -124,8 +117,7 @@ def test_small_errors_are_no_fault(line: str, sim: str) -> None:
 @pytest.mark.parametrize("bits", [12, 16])
 def test_a_platform_that_bends_is_no_fault(tmp_path: Path, bits: int) -> None:
     """A sensor may stand still for some cycles while the others move: it is near a node."""
-    sim = _sim(tmp_path, bits, "1e-7")
-    sim.write_text(sim.read_text().replace("effects: []", BENDING))
+    sim = bending_sim(tmp_path, _sim(tmp_path, bits, "1e-7").read_text())
     assert fly("gain 1 1.0", sim=sim).fault == ""
 
 

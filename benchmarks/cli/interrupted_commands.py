@@ -138,7 +138,14 @@ def commands(folder: Path) -> list[Command]:
         Command("stop", ("stop",)),
         Command("stop rig", ("stop", "--rig", str(root / rig / "serial.yaml"))),
         Command("move", ("move", "--beam-m", "0.01")),
+        *(Command(verb, (verb,)) for verb in ("levitate", "land", "clear")),
         Command("watch", ("watch", "--lines")),
+        Command(
+            "commission", ("commission", str(root / rig / "loopback.yaml"), "--out", "OUT/a.yaml")
+        ),
+        Command(
+            "install-service", ("install-service", str(root / rig / "can.yaml"), "--root", "OUT")
+        ),
         Command("run", ("run", str(root / rig / "loopback.yaml"))),
         Command("electronics", ("electronics", str(root / rig / "serial.yaml"))),
     ]
@@ -236,7 +243,7 @@ def sizes(out: Path) -> dict[str, object]:
 
 def _size(path: Path) -> object:
     reader = _READERS.get(path.suffix)
-    return f"unknown suffix {path.suffix}" if reader is None else reader(path)
+    return path.stat().st_size if reader is None else reader(path)
 
 
 def _rows_of_log(path: Path) -> int | None:

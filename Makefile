@@ -19,7 +19,7 @@ DEV := $(VENV)/.installed-dev
 
 help:
 	@echo "make demo      fly, identify and trace the simulated rig; print the paths of the reports"
-	@echo "make test      run the tests, about ten minutes on two processors"
+	@echo "make test      run the tests, about twenty minutes on two processors"
 	@echo "make test-long run the long tests: processes killed in flight, many traces; about seven minutes"
 	@echo "make test-rig  run the daemon on vcan in a virtual machine, also as a service (Debian, Ubuntu; root)"
 	@echo "make bench     run every benchmark with --quick"

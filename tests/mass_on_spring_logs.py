@@ -37,6 +37,15 @@ columns:
 """
 
 
+AT_50_HZ = """
+levid: signals
+rate_hz: 50
+columns:
+  - {column: 0, name: f_n, unit: N, role: input}
+  - {column: 1, name: x_m, unit: m, role: output}
+"""
+
+
 def imported(folder: Path, name: str, table: np.ndarray, columns: str = SIGNALS) -> Path:
     """Return the log of a record `name`, whose force in N and position in m are `table` (N, 2).
 

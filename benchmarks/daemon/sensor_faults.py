@@ -57,7 +57,8 @@ KINDS = {
     "off_0.15_mm": Kind("off {} 0.00015", 1, _OFF, (115, 8)),
     "off_0.2_mm": Kind("off {} 0.0002", 1, _OFF, (72, 6)),
     "off_0.5_mm": Kind("off {} -0.0005", 1, _OFF, (24, 3)),
-    # 0.4 mm/s: 0.1 mm after 0.25 s, and the average's delay of 0.1 s.
+    # 0.4 mm/s: 0.1 mm after 0.25 s, and the average's delay of 0.1 s; the offsets of the sensors of
+    # `rig`, some micrometres, make it 0.01 s more.
     "drift": Kind("drift {} 0.0004", 1, _OFF, (360, 20)),
     "intermittent": Kind("intermittent {} 0.0003", 1, _OFF, (45, 5)),
     "gain_3_percent": Kind("gain {} 1.03", 1, _SOUND, (0, 0)),

@@ -1,4 +1,4 @@
-"""Compute the fit of a model to measured outputs, in percent (NRMSE)."""
+"""Compute the fit of a model to measured outputs in percent (NRMSE), and compare two errors."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+BLOCKS = 8
+"""Blocks in time from which the standard error of a difference is estimated."""
 
 
 def nrmse_fit_percent(measured: Array, modelled: Array) -> Array:
@@ -18,10 +21,6 @@ def nrmse_fit_percent(measured: Array, modelled: Array) -> Array:
     error = np.linalg.norm(measured - modelled, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where(spread > 0, 100.0 * (1.0 - error / spread), np.nan))
-
-
-BLOCKS = 8
-"""Blocks in time from which the standard error of a difference is estimated."""
 
 
 def larger_by_chance(ours: Array, theirs: Array) -> bool:

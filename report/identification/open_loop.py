@@ -54,7 +54,7 @@ def open_loop_words(point: OpenLoopPoint, signals: SignalLabels) -> tuple[Text, 
 
 def _loop_words(point: OpenLoopPoint) -> str:
     if point.feedback:
-        return " in the declared control loop, from what one step ahead tells"
+        return " in the declared control loop, by predictions one step ahead"
     return ", assuming that the outputs do not drive the inputs: no control loop is declared"
 
 

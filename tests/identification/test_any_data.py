@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mass_on_spring_logs import AT_50_HZ, imported
 
 from levid.benchmarks.harness.loops_under_noise import Loop
 from levid.config.base import ConfigError, parse_text
@@ -16,7 +17,6 @@ from levid.identification.records.record import IdentificationError
 from levid.identification.run_identification import study
 from levid.identification.trace.force_trace.trace_imported import trace_imported
 from levid.log.errors import LogError
-from levid.log.importing.importer import import_file
 from levid.model.effects import damping, stiffness
 from levid.model.effects.base import Effect, Places
 from levid.model.effects.operating_range import Extent
@@ -34,13 +34,6 @@ parameters:
 M: [[m]]
 D: [[d]]
 K: [[k]]
-"""
-SIGNALS = """
-levid: signals
-rate_hz: 50
-columns:
-  - {column: 0, name: f_n, unit: N, role: input}
-  - {column: 1, name: x_m, unit: m, role: output}
 """
 LOOP = "loop: {controller: unknown}\n"
 
@@ -89,14 +82,10 @@ QUICK = ("constant", "silent", "one row", "beyond numbers", "weak loop")
 @pytest.fixture
 def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     u, y, loop = CASES[request.param]
-    data, signals, log = tmp_path / "a.csv", tmp_path / "s.yaml", tmp_path / "a.mcap"
-    np.savetxt(data, np.column_stack([u, y]), delimiter=",", fmt="%.17g")
-    signals.write_text(SIGNALS + loop)
     try:
-        import_file(data, signals, log)
+        return imported(tmp_path, "a", np.column_stack([u, y]), AT_50_HZ + loop)
     except (ConfigError, LogError):
         pytest.skip("the import refuses it")
-    return log
 
 
 def few_effects(places: Places, covered: Extent) -> Sequence[Effect]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mass_on_spring_logs import AT_50_HZ, imported
 
 from levid.benchmarks.harness.loops_under_noise import Loop
 from levid.config.base import parse_text
@@ -16,7 +17,6 @@ from levid.identification.nonparametric.feedback_test import feedback_findings, 
 from levid.identification.options import Options
 from levid.identification.run_identification import Study, study
 from levid.identification.trace.force_checks.columns_in_another_unit import common_factor
-from levid.log.importing.importer import import_file
 from levid.report.identification.chapters import identification_answer
 
 ROWS = 800
@@ -33,13 +33,6 @@ M: [[m]]
 D: [[d]]
 K: [[k]]
 """
-SIGNALS = """
-levid: signals
-rate_hz: 50
-columns:
-  - {column: 0, name: f_n, unit: N, role: input}
-  - {column: 1, name: x_m, unit: m, role: output}
-"""
 PLANT = Loop(Ts_s=0.02, force=0.01, sensor=1e-5)
 
 
@@ -49,11 +42,7 @@ def identified(folder: Path, *factors: tuple[float, float]) -> Study:
     for k, of in enumerate(factors):
         u = np.random.default_rng(k).normal(size=ROWS)
         r = PLANT.record(ROWS, k, given=u)
-        table, signals, log = folder / f"{k}.csv", folder / "s.yaml", folder / f"{k}.mcap"
-        np.savetxt(table, np.hstack([r.v, r.y]) * of, delimiter=",", fmt="%.9g")
-        signals.write_text(SIGNALS)
-        import_file(table, signals, log)
-        logs.append(log)
+        logs.append(imported(folder, str(k), np.hstack([r.v, r.y]) * of, AT_50_HZ))
     model = parse_text(MODEL, ModelConfig, "model")
     return study(logs, lambda _log: model, Options(order=2))
 

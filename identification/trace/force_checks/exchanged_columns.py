@@ -20,8 +20,10 @@ from ..search_options import SearchOptions
 
 Array = NDArray[np.float64]
 
-
-_MOST_NAMED, _FEWEST_RECORDS = 2, 3
+_MOST_NAMED = 2
+"""Most explanations that are named if several are as good."""
+_FEWEST_RECORDS = 3
+"""Records from which most of them tell what the sign is."""
 
 
 @dataclass(frozen=True)

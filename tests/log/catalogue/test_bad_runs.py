@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -116,29 +117,37 @@ def _as_another_user() -> Iterator[None]:
         os.seteuid(0)
 
 
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """A folder that every user may enter; those above tmp_path are closed to others."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="root reads everything, and only root can change")
 def test_run_without_rights_is_named_and_hides_no_other(
-    log: Path, tmp_path: Path, levid: Callable[..., Any]
+    log: Path, open_folder: Path, levid: Callable[..., Any]
 ) -> None:
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(0o755)
     for name in ("closed", "open", "unreadable"):
-        (tmp_path / name).mkdir()
-        shutil.copy(log, tmp_path / name / "a.mcap")
-    (tmp_path / "closed").chmod(0o700)
-    (tmp_path / "unreadable" / "a.mcap").chmod(0o600)
+        (open_folder / name).mkdir()
+        shutil.copy(log, open_folder / name / "a.mcap")
+    (open_folder / "closed").chmod(0o700)
+    (open_folder / "unreadable" / "a.mcap").chmod(0o600)
     for command in ("list", "info"):  # imports what the other user may not be able to read
-        assert levid(command, tmp_path / "open").code == 0
+        assert levid(command, open_folder / "open").code == 0
     with _as_another_user():
-        found = levid("list", tmp_path)
-        info = levid("info", tmp_path / "closed", tmp_path / "unreadable", tmp_path / "open")
+        found = levid("list", open_folder)
+        info = levid(
+            "info", open_folder / "closed", open_folder / "unreadable", open_folder / "open"
+        )
     assert found.code == 0
-    assert f"{tmp_path / 'closed'}: not searched: Permission denied" in found.err
+    assert f"{open_folder / 'closed'}: not searched: Permission denied" in found.err
     listed = [line.split()[2] for line in found.out.splitlines() if line.startswith("2")]
     assert sorted(listed) == ["open", "unreadable"]
     assert info.code == 1
     assert info.err.count("Permission denied") == 2
-    assert str(tmp_path / "open") in info.out
+    assert str(open_folder / "open") in info.out
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from .declared_model_from_config import declared_model
 from .experiment.experiment_from_log import Experiment
 from .experiment.intersample_input import Hold
 from .fit import Fit, fit_model
+from .fit_in_loop import FittedLoop, fit_in_loop, shows_loop
 from .force_balance.instrumental_variables import ForceBalance, fit_force_balance
 from .free_parameters import free_parameters
 from .free_run.free_run_simulation import free_run, run_in_rows
@@ -60,6 +61,8 @@ class GreyBox:
     balance: ForceBalance | None = None
     columns: str = ""
     doubts: tuple[str, ...] = ()
+    loop: FittedLoop | None = None
+    """The fit to spectra of records in a loop; None for the likelihood of prediction errors."""
 
     @property
     def explains_nothing(self) -> bool:
@@ -100,10 +103,14 @@ def identify_grey_box(
     experiments: Sequence[Experiment],
     holdout: float,
     progress: Callable[[str, float], None] | None = None,
+    band_hz: tuple[float, float] | None = None,
 ) -> GreyBox:
     """Fit `config` to the first 1 - holdout of every record and validate it on the rest.
 
     The rest begins where motion is left behind it (`held_out_rows`).
+
+    Records of the rig that excite a loop at rest are fitted by their spectra, in `band_hz` if
+    given, with the modes that the declared model lacks (`loop_spectra`).
 
     Imported records with prediction errors that are not white have something that the model lacks.
     Their likelihood then weighs frequencies by a noise that they do not have, and its intervals are
@@ -120,16 +127,19 @@ def identify_grey_box(
     if imported:
         remarks += tuple(f"record '{e.name}': {text}" for e in experiments for text in e.remarks)
     held = [held_out_rows(e.y, e.u, holdout) for e in experiments]
-    stops = [found.start for found in held]
-    fit = fit_model(
-        config, [e.rows(0, stop) for e, stop in zip(experiments, stops, strict=True)], progress
-    )
-    white = is_white(fit)
-    balance = None
-    if imported and not white:
-        fit, balance, notes = _with_force_balance(config, fit)
-        remarks += notes
-    floor_noise = fit.noise if white or not imported else stated_noise(experiments)
+    training = [e.rows(0, found.start) for e, found in zip(experiments, held, strict=True)]
+    loop, balance = None, None
+    if any(map(shows_loop, training)):
+        kept = [e.rows(h.start, h.stop) for e, h in zip(experiments, held, strict=True)]
+        fit, loop = fit_in_loop(config, training, kept if holdout else (), band_hz, progress)
+        floor_noise: Noise | None = fit.noise
+    else:
+        fit = fit_model(config, training, progress)
+        white = is_white(fit)
+        if imported and not white:
+            fit, balance, notes = _with_force_balance(config, fit)
+            remarks += notes
+        floor_noise = fit.noise if white or not imported else stated_noise(experiments)
     held_out = [
         e.rows(_first_simulated(e, found), found.stop) if holdout else e
         for e, found in zip(experiments, held, strict=True)
@@ -145,6 +155,7 @@ def identify_grey_box(
         first.delay_cycles,
         (*remarks, *_drifting(config, checks, held_out)),
         balance,
+        loop=loop,
     )
 
 

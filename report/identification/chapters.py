@@ -372,7 +372,10 @@ def _after_grey_box(
     fit, steps = report.grey.fit, list[tuple[str, str]]()
     least, tests = least_chance(report)
     worst = report.worst
-    if least * tests < NOT_WHITE or (worst is not None and worst.over_noise > NOISE_MOST):
+    white = (
+        not least * tests < NOT_WHITE if report.grey.loop is None else report.grey.loop.fit.white
+    )
+    if not white or (worst is not None and worst.over_noise > NOISE_MOST):
         logs, model, out = commands.logs, out_dir / "model.yaml", out_dir / "trace"
         trace = command_line("trace", logs=logs, model=model, out=out) if logs else ""
         steps.append(("Find the effect that the model lacks.", trace))

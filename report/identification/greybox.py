@@ -21,11 +21,12 @@ from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, 
 from ..plotting.number_format import chance
 from ..plotting.style import TRUTH, line_of
 from .closed_loop import HO_KALMAN, TRUTH_NAME, Truth
+from .loop_words import loop_answer, loop_numbers, whiteness_words
 
 FITTED = "fitted model"
 
-NOISE_MOST = 2.0
-"""Error over noise above which a model lacks something; short records reach 1.5 by chance."""
+NOISE_MOST = 1.5
+"""Error over noise above which a model lacks something; short records reach it by chance."""
 NOT_WHITE = 0.01
 """Overall p-value of all tests below which prediction errors do not count as white."""
 _STANDS_OUT = 10.0
@@ -52,9 +53,14 @@ class GreyBoxReport:
 
     @property
     def explains(self) -> bool:
-        """Whether the fitted model leaves no more than noise, as far as these records show."""
+        """Whether the fitted model leaves no more than noise, as far as these records show.
+
+        In a loop, the modes beside it count: it is valid up to the end of its band.
+        """
         if self.grey.explains_nothing:
             return False
+        if self.grey.loop is not None:
+            return self.grey.loop.over_noise <= NOISE_MOST
         least, tests = least_chance(self)
         white = not tests or not least * tests < NOT_WHITE
         return white and (self.worst is None or self.worst.over_noise <= NOISE_MOST)
@@ -214,6 +220,8 @@ def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None)
     worst = report.worst
     error = "" if worst is None else f" ({worst.over_noise:.2f} times the noise)"
     bounds = "".join(f" {text}" for text in at_bound_sentences(report.grey))
+    if report.grey.loop is not None and not report.grey.explains_nothing:
+        return f"{loop_answer(report.grey.loop, name, NOISE_MOST)}{bounds}{natural}"
     if report.grey.doubts:
         return f"Do not use a model of these records: {'; '.join(report.grey.doubts)}."
     if report.explains:
@@ -297,7 +305,9 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
             )
         )
     least, tests = least_chance(report)
-    if tests:
+    if report.grey.loop is not None:
+        numbers += loop_numbers(report.grey.loop, NOISE_MOST)
+    elif tests:
         white = not least * tests < NOT_WHITE
         numbers.append(
             Number(
@@ -331,7 +341,10 @@ def _identifiability_words(report: GreyBoxReport) -> str:
     held = report.grey.fit.unidentifiable
     if not held:
         return "These records determine all of them."
-    return " ".join(f"{u}." for u in held)
+    words = " ".join(f"{u}." for u in held)
+    if report.grey.loop is None:
+        return words
+    return f"{words} The intervals of the others count it as known to a fifth of its value."
 
 
 def _explained(report: GreyBoxReport) -> str:
@@ -353,6 +366,8 @@ def _explained(report: GreyBoxReport) -> str:
 
 
 def _whiteness(report: GreyBoxReport) -> str:
+    if report.grey.loop is not None:
+        return whiteness_words(report.grey.loop)
     least, tests = least_chance(report)
     if not tests:
         return ""

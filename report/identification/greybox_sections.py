@@ -25,6 +25,7 @@ from ..plotting.number_format import chance, interval, plain, to_interval
 from ..plotting.style import LineStyle, signed
 from .closed_loop import HO_KALMAN
 from .greybox import GreyBoxReport
+from .loop_words import modes_table
 
 Array = NDArray[np.float64]
 
@@ -68,6 +69,9 @@ def _parameter_parts(report: GreyBoxReport) -> tuple[Part, ...]:
         ),
         _modes_table(report),
     ]
+    loop = report.grey.loop
+    if loop is not None and loop.fit.modes:
+        parts.append(modes_table(loop, report.signals.output_symbols))
     parts += [Text(f"{u}; {_if_fitted(u, declared)}.") for u in held.values()]
     return tuple(parts)
 

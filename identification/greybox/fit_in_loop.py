@@ -1,0 +1,123 @@
+"""Fit the declared model to records of a rig: by spectra where the schedule rests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.model import ModelConfig
+from ..records.record import IdentificationError
+from .experiment.experiment_from_log import Experiment
+from .fit import Fit, fit_model
+from .free_parameters import free_parameters
+from .loop_spectra.identify_in_loop import LoopFit, identify_in_loop
+from .loop_spectra.measured_noise import noise_spectrum
+from .loop_spectra.output_error_fit import without_transients
+from .loop_spectra.spectral_lines import lines_by_point
+from .loop_spectra.valid_band import ValidBand, valid_band
+from .prediction.prediction_errors import predict
+
+_AT_BOUND = 1e-2
+"""Distance from a bound, in standard errors, from which a parameter is on it."""
+
+
+@dataclass(frozen=True)
+class FittedLoop:
+    """The spectra, modes and noise of records in a loop, and the declared model's valid band.
+
+    over_noise: largest simulation error of an output in a record, with all modes and at all
+    frequencies, over the noise; of rows that were not fitted, if any are held out. unexplained:
+    largest share of an output that neither the model nor a mode explains in a narrow band.
+    """
+
+    fit: LoopFit
+    band: ValidBand
+    over_noise: float
+
+    @property
+    def unexplained(self) -> float:
+        """Root of the largest share of power."""
+        return float(np.sqrt(max(r.relative_error.max() for r in self.fit.residuals)))
+
+
+def shows_loop(e: Experiment) -> bool:
+    """Return whether a record of the rig excites its loop while the schedule rests."""
+    if e.loop is None or e.correlations is None or e.moving:
+        return False
+    return bool(np.any(np.ptp(e.loop.v, axis=0) > 0.0))
+
+
+def fit_in_loop(
+    config: ModelConfig,
+    experiments: Sequence[Experiment],
+    held_out: Sequence[Experiment],
+    band_hz: tuple[float, float] | None,
+    progress: Callable[[str, float], None] | None = None,
+) -> tuple[Fit, FittedLoop]:
+    """Fit records of the rig, some of which excite a loop at rest.
+
+    These and still records give their parameters by spectra. What they do not determine, and only
+    then, records with a moving schedule may: they are fitted by their prediction errors, with all
+    other parameters held.
+
+    `held_out`: rows kept aside, empty for none.
+
+    Raises IdentificationError as identify_in_loop does.
+    """
+    rest = [e for e in experiments if e.loop is not None and not e.moving]
+    found = identify_in_loop(config, rest, band_hz, progress)
+    held = {u.name for u in found.unidentifiable}
+    names = free_parameters(config).names
+    free = tuple(name for name in names if name not in held)
+    own = [found.names.index(name) for name in free]
+    covariance = found.covariance[np.ix_(own, own)]
+    model, unidentifiable = found.plant.model, found.unidentifiable
+    moving = [e for e in experiments if e.moving]
+    if held and moving:
+        rest_known = {
+            name: p.model_copy(update={"value": model.values[name], "fixed": name not in held})
+            for name, p in config.parameters.items()
+        }
+        try:
+            more = fit_model(config.model_copy(update={"parameters": rest_known}), moving)
+        except IdentificationError:
+            more = None  # too short: these parameters keep their declared values
+        if more is not None and more.free:
+            model, unidentifiable = more.model, more.unidentifiable
+            free, covariance = _joined(free, covariance, more)
+    parameters = free_parameters(config).only([names.index(name) for name in free])
+    predictions = tuple(predict(model, e, config.input, found.noise) for e in experiments)
+    values = np.array([model.values[name] for name in free])
+    edge = _AT_BOUND * np.sqrt(np.diag(covariance))
+    at_bound = (values - parameters.low < edge) | (parameters.high - values < edge)
+    fit = Fit(
+        model, free, covariance, tuple(unidentifiable),
+        tuple(np.array(free)[at_bound].tolist()), found.noise, predictions, found.steps,
+    )  # fmt: skip
+    compared = [e for e in held_out or experiments if e.loop is not None and not e.moving]
+    whole = replace(found, plant=replace(found.plant, model=model))
+    return fit, FittedLoop(whole, valid_band(found), _over_noise(found, compared))
+
+
+def _over_noise(fit: LoopFit, experiments: Sequence[Experiment]) -> float:
+    """Return the largest error of the fitted plant over the noise, of all records and outputs."""
+    top_hz = float(fit.points[0].freq_hz[-1])
+    ratios = []
+    for point in lines_by_point(experiments, (0.0, top_hz)):
+        noise = noise_spectrum(fit.plant, point, fit.noise)
+        expected = np.einsum("fii->i", noise).real
+        for E in without_transients(fit.plant, point, [noise] * len(point.records)):
+            ratios.append(np.sqrt(np.sum(np.abs(E) ** 2, axis=0) / expected))
+    return float(np.max(ratios))
+
+
+def _joined(
+    free: tuple[str, ...], covariance: NDArray[np.float64], more: Fit
+) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    n, k = len(free), len(more.free)
+    both = np.zeros((n + k, n + k))
+    both[:n, :n], both[n:, n:] = covariance, more.covariance
+    return (*free, *more.free), both

@@ -1,0 +1,326 @@
+"""Identify the declared model and the modes beside it from records in a known loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from ....config.model import ModelConfig
+from ....model.second_order import state_space
+from ...nonparametric.frequency_response import ResponseEstimate
+from ..declared_model_from_config import declared_model
+from ..experiment.experiment_from_log import Experiment
+from ..free_parameters import FreeParameters, free_parameters
+from ..identifiability import Unidentifiable, find_unidentifiable
+from ..prediction.noise_model import Noise
+from .measured_noise import measured_noise, noise_spectrum
+from .measured_response import last_significant, measured_responses
+from .mode import Mode
+from .output_error_fit import Factor, OutputErrorFit, Weighted, without_transients
+from .residual_spectrum import ResidualSpectrum, split_residual
+from .sampled_response import LinearPlant, ParameterName
+from .spectral_lines import PointLines, lines_by_point
+from .starting_modes import starting_modes
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Progress = Callable[[str, float], None]
+
+HIGHEST_SHARE = 0.4
+"""Highest line over the sampling rate."""
+SEARCH_LINES = 800
+"""Lines of a record in the search; the last steps use all."""
+NOT_WHITE = 6.0
+"""Standard deviations by chance of a band's excess from which the residual is not white. Some
+thousand bands are looked at; 6 of a chi-square variable is one in 10^5 by chance."""
+KNOWN_TO = 0.4
+"""Standard deviation of a declared value that the records do not determine, over what makes it
+worth fitting: a fifth of the value where it has a sign."""
+_RIGID_TIMES = 2.0
+"""Modes are looked for above the declared ones times this."""
+_NEARLY = 1.5
+"""Cost over that of the other kind up to which a mode's kind is tried further."""
+_BEYOND = 3.0
+"""Frequency of the mode that stands for those above the band, over the band's end."""
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class LoopFit:
+    """The plant, its uncertainty, and what is left.
+
+    `names`, `covariance` (N, N) in SI units: all parameters, those of the model file first.
+    `unidentifiable`: those held at declared values; the covariance counts them as known to
+    KNOWN_TO. `residuals`: one for each of `points`. `worst`: largest excess of a band in standard
+    deviations of chance, at `worst_hz`; `white` if it is chance.
+    """
+
+    plant: LinearPlant
+    names: tuple[ParameterName, ...]
+    covariance: Array
+    unidentifiable: tuple[Unidentifiable, ...]
+    points: tuple[PointLines, ...]
+    residuals: tuple[ResidualSpectrum, ...]
+    worst: float
+    worst_hz: float
+    noise: Noise
+    steps: int
+
+    @property
+    def white(self) -> bool:
+        """Whether nothing of the residual depends on the excitation, up to chance."""
+        return self.worst < NOT_WHITE
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """The modes in the band."""
+        return tuple(m for m in self.plant.modes if m.kind != "beyond")
+
+    def mode_errors(self, mode: Mode) -> tuple[float, float]:
+        """Return the standard errors of a mode's frequency in Hz and of its damping ratio."""
+        k = next(i for i, m in enumerate(self.plant.modes) if m is mode)
+        frequency, damping = (
+            float(np.sqrt(self.covariance[i, i]))
+            for i in (self.names.index((k, "omega")), self.names.index((k, "damping")))
+        )
+        return frequency / (2.0 * np.pi), damping
+
+
+def identify_in_loop(
+    config: ModelConfig,
+    experiments: Sequence[Experiment],
+    band_hz: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> LoopFit:
+    """Fit the free parameters of `config` and the modes that the records show.
+
+    The records are of one rate, in a known loop without moving schedule. Their residual is noise
+    plus model error, by frequency (`split_residual`); both weigh. A mode bends the structure or is
+    a body on it, whichever is more likely.
+
+    Raises IdentificationError for records too short, or without excitation.
+    """
+    # Each record has a thread; BLAS threads inside would compete for the same cores.
+    with threadpool_limits(1), ThreadPoolExecutor() as pool:
+        silent: Progress = lambda _what, _share: None  # noqa: E731
+        return _Search(config, experiments, band_hz, progress or silent, pool).run()
+
+
+class _Search:
+    def __init__(
+        self,
+        config: ModelConfig,
+        experiments: Sequence[Experiment],
+        band_hz: tuple[float, float] | None,
+        progress: Progress,
+        pool: Executor,
+    ) -> None:
+        self.progress, self.pool, self.steps = progress, pool, 0
+        self.parameters: FreeParameters = free_parameters(config)
+        self.spread = self.parameters.worth
+        self.plant = LinearPlant(declared_model(config))
+        Ts_s = experiments[0].Ts_s
+        responses = measured_responses(experiments, HIGHEST_SHARE / Ts_s)
+        if band_hz is None:
+            band_hz = (0.0, last_significant(responses, HIGHEST_SHARE / Ts_s))
+        self.points = lines_by_point(experiments, band_hz)
+        excited = [len(p.excited) for p in self.points if any(r.excited for r in p.records)]
+        self.step = max(max(excited) // SEARCH_LINES, 1)
+        self.plant = replace(self.plant, modes=self._starting_modes(responses, band_hz[1]))
+        n, p = experiments[0].y.shape[1], experiments[0].u.shape[1]
+        self.correlations = experiments[0].correlations or (np.eye(p), np.eye(n))
+        self.noise: Noise | None = None
+        self.residuals: tuple[ResidualSpectrum, ...] = ()
+        self.weighted: tuple[Weighted, ...] = ()
+
+    def run(self) -> LoopFit:
+        self._settle()
+        self._split()
+        held = self._hold()
+        if self._worst()[0] >= NOT_WHITE:
+            self._weigh_by_frequency()
+            self._fit(3, self.step)
+            self._choose_kinds()
+        self._drop_chance()
+        self._split()
+        self._weigh_by_frequency()
+        factor = self._fit(3, 1)
+        inverse = np.linalg.inv(factor.R)
+        covariance = factor.scales[:, None] * (inverse @ inverse.T) * factor.scales
+        self._split()
+        assert self.noise is not None
+        return LoopFit(
+            self.plant, factor.names, covariance, tuple(held), self.points, self.residuals,
+            *self._worst(), self.noise, self.steps,
+        )  # fmt: skip
+
+    def _settle(self) -> None:
+        """Fit from a start that may be far off, with weights that follow the misfit down."""
+        share = np.inf
+        for _ in range(_ROUNDS):
+            self._split()
+            squares, count = np.sum([r.misfit for r in self.residuals], axis=0)
+            now = float(np.sqrt(max(squares, 0.0) / max(count, 1)))
+            if now > 0.9 * share or now < 1e-4:
+                break
+            share = now
+            self._weigh([np.full(r.relative_error.shape, share**2) for r in self.residuals])
+            self._fit(2, self.step)
+
+    def _split(self) -> None:
+        """Measure noise and model error anew."""
+
+        def split(k: int) -> ResidualSpectrum:
+            point = self.points[k]
+            known = self.weighted[k].covariances if self.weighted else None
+            shape = None if self.noise is None else noise_spectrum(self.plant, point, self.noise)
+            return split_residual(point, without_transients(self.plant, point, known), shape)
+
+        self.residuals = tuple(self.pool.map(split, range(len(self.points))))
+        self.noise = measured_noise(self.plant, self.points, self.residuals, self.correlations)
+
+    def _weigh(self, relative_errors: Sequence[Array]) -> None:
+        """Set the covariances: noise, and model error as a share of each record's output."""
+        eye = np.eye(self.residuals[0].noise.shape[1])
+        self.weighted = tuple(
+            Weighted(
+                point,
+                tuple(
+                    r.noise + (share * record.power)[:, :, None] * eye for record in point.records
+                ),
+            )
+            for point, r, share in zip(self.points, self.residuals, relative_errors, strict=True)
+        )
+
+    def _weigh_by_frequency(self) -> None:
+        self._weigh([r.relative_error for r in self.residuals])
+
+    def _problem(self, step: int) -> OutputErrorFit:
+        # Points have different lines, so that narrow modes are not between them.
+        excited = [w for w in self.weighted if any(r.excited for r in w.point.records)]
+        some = tuple(w.thin(step, k % step) for k, w in enumerate(excited))
+        return OutputErrorFit(some, self.parameters, self.spread, self.pool)
+
+    def _fit(self, steps: int, step: int) -> Factor:
+        self.progress(f"step {self.steps + 1}", 1.0 - 0.9**self.steps)
+        self.plant, factor, _ = self._problem(step).search(self.plant, steps)
+        self.steps += 1
+        return factor
+
+    def _hold(self) -> list[Unidentifiable]:
+        """Keep parameters that the records do not determine near their declared values."""
+        p = self.parameters
+        count = len(p.names)
+        self._weigh_by_frequency()
+        free = replace(self._problem(self.step), spread=np.full(count, np.inf))
+        factor = free.factor(self.plant)
+        order = [*range(count, len(factor.names)), *range(count)]
+        own = np.asarray(np.linalg.qr(factor.R[:, order], mode="r"))[-count:, -count:]
+        held = find_unidentifiable(np.sqrt(self.step) * own, p.names, p.worth, p.scale)
+        names = {u.name for u in held}
+        self.spread = np.where([n in names for n in p.names], KNOWN_TO * p.worth, np.inf)
+        return held
+
+    def _worst(self) -> tuple[float, float]:
+        """Return the largest excess of a band over chance, points together, and where it is."""
+        longest = max(len(r.freq_hz) for r in self.residuals)
+        same = [r for r in self.residuals if len(r.freq_hz) == longest]
+        excess = np.sum([r.excess for r in same], axis=0)
+        z = excess / np.sqrt(np.sum([r.excess_sd**2 for r in same]))
+        k = int(np.argmax(z))
+        return float(z[k]), float(same[0].freq_hz[k])
+
+    def _choose_kinds(self) -> None:
+        """Let each mode be of the kind, bending or attached, that leaves less."""
+        for k, mode in enumerate(self.plant.modes):
+            if mode.kind != "bending":
+                continue
+            problem = self._problem(self.step)
+            other = self._attached(mode)
+            if other is None:
+                continue
+            modes = list(self.plant.modes)
+            modes[k] = other
+            as_bending = problem.search(self.plant, 1)
+            as_attached = problem.search(replace(self.plant, modes=tuple(modes)), 2)
+            if as_attached[2] < _NEARLY * as_bending[2]:
+                as_attached = problem.search(as_attached[0], 3)
+            self.plant = min(as_bending, as_attached, key=lambda found: found[2])[0]
+            self.steps += 1
+            if self.plant.modes[k].kind != mode.kind:
+                self._split()
+                self._weigh_by_frequency()
+
+    def _drop_chance(self) -> None:
+        """Leave out modes whose strength is no more than chance and model error explain.
+
+        One of them stands for the compliance of all modes above the band.
+        """
+        n, p = self.points[0].records[0].Y.shape[1], self.points[0].records[0].U.shape[1]
+        omega = _BEYOND * 2.0 * np.pi * float(self.points[0].freq_hz[-1])
+        beyond = Mode("beyond", omega, 0.0, np.zeros((n, p)))
+        self.plant = replace(self.plant, modes=(*self.plant.modes, beyond))
+        while True:
+            self._split()
+            self._weigh_by_frequency()
+            factor = self._fit(2, self.step)
+            inverse = np.linalg.pinv(factor.R)
+            covariance = inverse @ inverse.T
+            evidence = [self._evidence(k, factor, covariance) for k in range(len(self.plant.modes))]
+            if min(evidence, default=1.0) > 0.0:
+                return
+            weakest = int(np.argmin(evidence))
+            modes = tuple(m for k, m in enumerate(self.plant.modes) if k != weakest)
+            self.plant = replace(self.plant, modes=modes)
+
+    def _evidence(self, k: int, factor: Factor, covariance: Array) -> float:
+        """Return by how much a mode lowers the Bayesian information criterion (Wald's test)."""
+        mode = self.plant.modes[k]
+        own = [i for i, name in enumerate(factor.names) if len(name) == 3 and name[0] == k]
+        strength = np.array([mode.strength[i, j] for i, j in mode.entries()]) / factor.scales[own]
+        wald = float(strength @ np.linalg.pinv(covariance[np.ix_(own, own)]) @ strength)
+        numbers = 2 * sum(
+            len(p.excited) * r.Y.shape[1] for p in self.points for r in p.records if r.excited
+        )
+        more = 0 if mode.kind == "beyond" else 2
+        return self.step * wald - (len(own) + more) * float(np.log(numbers))
+
+    def _attached(self, mode: Mode) -> Mode | None:
+        """Return the attached mode with the same resonance: strength M R M, its base at rest."""
+        if mode.strength.shape[0] != mode.strength.shape[1]:
+            return None
+        middle = self.points[len(self.points) // 2]
+        M = self.plant.model.at(middle.schedule).M
+        strength = M @ mode.strength @ M
+        strength = 0.5 * (strength + strength.T)
+        share = float(np.max(np.linalg.eigvals(np.linalg.solve(M, strength)).real))
+        omega = mode.omega * np.sqrt(1.0 - np.clip(share, 0.0, 0.9))
+        return Mode("attached", float(omega), mode.damping, strength)
+
+    def _starting_modes(
+        self, responses: Sequence[ResponseEstimate], top_hz: float
+    ) -> tuple[Mode, ...]:
+        if not responses:
+            return ()
+        at = self.plant.model.at(self.points[0].schedule)
+        rigid = np.abs(np.linalg.eigvals(state_space(at).A)) / (2.0 * np.pi)
+        start_hz = _RIGID_TIMES * float(rigid.max())
+        Ts_s, delay_s = self.points[0].Ts_s, self.points[0].delay_s + at.delay_s
+        plain = []
+        for r in responses:
+            band = r.freq_hz <= top_hz
+            s = 2j * np.pi * r.freq_hz[band]
+            held = -np.expm1(-s * Ts_s) / (s * Ts_s) * np.exp(-s * delay_s) / (1 + s * at.lag_s)
+            by = 1.0 / held[:, None, None]
+            covariance = r.covariance[band] * np.abs(by)[:, :, :, None, None] ** 2
+            plain.append(
+                replace(r, freq_hz=r.freq_hz[band], H=r.H[band] * by, covariance=covariance)
+            )
+        if np.sum(plain[0].freq_hz > start_hz) < 20:
+            return ()
+        return starting_modes(plain, start_hz)

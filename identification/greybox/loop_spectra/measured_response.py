@@ -1,0 +1,106 @@
+"""Measure the plant's response at each point of the schedule, without a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from ...nonparametric.frequency_response import ResponseEstimate
+from ...nonparametric.joint_input_output import plant_from_joint_response
+from ...nonparametric.local_polynomial import local_polynomial
+from ...records.record import IdentificationError
+from ..experiment.experiment_from_log import Experiment
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_POINTS = 700
+_SPARSE = 0.5
+"""Share of excited lines below which an excitation is periodic."""
+_EXCITED = 1e-8
+_BESIDE = 20
+"""Lines on either side of an excited one whose power, where not excited, is the noise."""
+
+
+def measured_responses(
+    experiments: Sequence[Experiment], top_hz: float
+) -> tuple[ResponseEstimate, ...]:
+    """Return P (F, n, p) at each point whose records excite every input, at common frequencies.
+
+    Both the outputs' and the inputs' responses to the excitation are measured, so feedback does not
+    bias P: by local polynomials for noise, line by line for periodic excitation.
+    """
+    groups: dict[tuple[float | int, ...], list[Experiment]] = {}
+    for e in experiments:
+        if e.loop is None or not np.any(np.ptp(e.loop.v, axis=0)):
+            continue
+        point = (float(np.round(x.mean(), 4)) for n, x in sorted(e.schedule.items()))
+        groups.setdefault((*point, len(e.y)), []).append(e)
+    found = []
+    for group in groups.values():
+        try:
+            found.append(_measured(group, top_hz))
+        except IdentificationError:
+            continue  # too few records, or too short: other points tell
+    longest = max((len(r.freq_hz) for r in found), default=0)
+    return tuple(r for r in found if len(r.freq_hz) == longest)
+
+
+def last_significant(responses: Sequence[ResponseEstimate], top_hz: float) -> float:
+    """Return the frequency up to which some entry of the response is above its noise."""
+    if not responses:
+        return top_hz
+    clear = np.any([np.abs(r.H) > 3.0 * r.standard_deviation for r in responses], axis=(0, 2, 3))
+    # By chance 1 in 8000 is above three: the last of several in a row counts.
+    runs = np.convolve(clear, np.ones(5), mode="same") >= 4
+    where = np.flatnonzero(runs)
+    return top_hz if not len(where) else min(1.1 * float(responses[0].freq_hz[where[-1]]), top_hz)
+
+
+def _measured(group: Sequence[Experiment], top_hz: float) -> ResponseEstimate:
+    v = [e.loop.v for e in group if e.loop is not None]
+    if not np.all(np.any([np.ptp(x, axis=0) > 0 for x in v], axis=0)):
+        raise IdentificationError("expected an excitation of every input")
+    signals = [np.hstack([e.y, e.u - x]) for e, x in zip(group, v, strict=True)]
+    rows, Ts_s = len(group[0].y), group[0].Ts_s
+    last = int(top_hz * rows * Ts_s)
+    V = np.array([fft.rfft(x, axis=0)[:last] for x in v])
+    power = np.sum(np.abs(V) ** 2, axis=(0, 2))
+    excited = np.flatnonzero(power > _EXCITED * power.max())
+    excited = excited[excited >= 1]
+    if len(excited) < _SPARSE * last:
+        loop = _line_by_line(V, signals, excited, Ts_s)
+    else:
+        step = max(1, round(last / _POINTS))
+        loop = local_polynomial(v, signals, Ts_s, np.arange(3 * step, last, step) / (rows * Ts_s))
+    return plant_from_joint_response(loop, group[0].y.shape[1])
+
+
+def _line_by_line(
+    V: Complex, signals: Sequence[Array], excited: NDArray[np.int_], Ts_s: float
+) -> ResponseEstimate:
+    """Return the response (F, m, p) at excited lines, from V (R, lines, p) of R records."""
+    rows, lines = len(signals[0]), V.shape[1]
+    Y = np.array([fft.rfft(x - x.mean(axis=0), axis=0)[:lines] for x in signals])
+    quiet = np.setdiff1d(np.arange(1, lines), excited)
+    beside = np.zeros((lines, Y.shape[2]))
+    beside[quiet] = np.mean(np.abs(Y[:, quiet]) ** 2, axis=0)
+    box = np.ones(2 * _BESIDE + 1)
+    count = np.convolve(np.isin(np.arange(lines), quiet), box, mode="same")
+    noise = np.array([np.convolve(x, box, mode="same") for x in beside.T]).T
+    noise = noise[excited] / np.maximum(count[excited], 1.0)[:, None]
+    X = V[:, excited].transpose(1, 0, 2)
+    inverse = np.linalg.pinv(X, rcond=1e-6)
+    H = (inverse @ Y[:, excited].transpose(1, 0, 2)).transpose(0, 2, 1)
+    spread = inverse @ inverse.conj().transpose(0, 2, 1)
+    eye = np.eye(noise.shape[1])
+    return ResponseEstimate(
+        excited / (rows * Ts_s),
+        H,
+        np.ones(H.shape),
+        np.asarray(np.einsum("fi,ik,fjl->fijkl", noise, eye, spread)),
+        Ts_s,
+    )

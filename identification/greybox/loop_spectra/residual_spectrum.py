@@ -1,0 +1,134 @@
+"""Split a residual spectrum into noise and model error, by local polynomials of the excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .spectral_lines import PointLines, RecordLines
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+HALF_WIDTH = 12
+"""Lines on either side of a band's centre: 25 lines leave 23 degrees of freedom a record."""
+_SIGNIFICANT = 3.0
+"""Standard deviations of chance from which a model error counts."""
+_CLEAR = 20.0
+"""Power of the output over the noise from which it counts for the misfit."""
+
+
+@dataclass(frozen=True)
+class ResidualSpectrum:
+    """The residual of one point in bands of 2 HALF_WIDTH + 1 lines, centred at freq_hz (B,).
+
+    `noise` (F, n, n): covariance of what does not depend on the excitation, at every line.
+    `excess` (B,): whitened power that depends on the excitation, over the records, less what
+    chance leaves; its standard deviation by chance is `excess_sd`. `relative_error` (F, n): power
+    of the model error over that of the output, where it is significant, else 0; `misfit` sums up
+    both over all bands: (model error power, bands) relative to the output.
+    """
+
+    freq_hz: Array
+    noise: Complex
+    excess: Array
+    excess_sd: float
+    relative_error: Array
+    misfit: tuple[float, int]
+
+
+def split_residual(
+    point: PointLines, residuals: Sequence[Complex], shape: Complex | None = None
+) -> ResidualSpectrum:
+    """Split the residuals (F, n) of a point's records, without their transients.
+
+    In each narrow band the residual of a record is E = dG V + noise, where the error dG of the
+    loop's response is a line over the band: what regression on V takes depends on the excitation,
+    the rest is noise, to which all records of the point contribute. A still record has noise only.
+
+    `shape` (F, n, n): a first estimate of the noise's covariance, None for white. The measured
+    noise over it is smooth, even at resonances of the loop that are narrower than a band.
+    """
+    F, n = residuals[0].shape
+    shape = np.broadcast_to(np.eye(n), (F, n, n)) if shape is None else shape
+    factor = np.linalg.cholesky(shape)
+    whiten = np.linalg.inv(factor)
+    bands = _bands(F)
+    B, width = bands.shape
+    offset = (np.arange(width) - 0.5 * (width - 1)) / max(0.5 * (width - 1), 1.0)
+    cross, freedom = np.zeros((B, n, n), complex), 0
+    explained: list[Complex] = []
+    error, output, unknowns = np.zeros((B, n)), np.zeros((B, n)), 0
+    for record, E in zip(point.records, residuals, strict=True):
+        fit, used = _regress(record, E, bands, offset)
+        left = np.einsum("blij,blj->bli", whiten[bands], E[bands] - fit)
+        cross += left.transpose(0, 2, 1) @ left.conj()
+        freedom += width - used
+        if used:
+            explained.append(np.einsum("blij,blj->bli", whiten[bands], fit))
+            error += np.sum(np.abs(fit) ** 2, axis=1)
+            output += np.sum(np.abs(record.Y[bands]) ** 2, axis=1)
+            unknowns += used
+    smooth = _smoothed(np.asarray(cross / freedom))
+    inverse = np.linalg.inv(smooth)
+    power = sum(
+        (np.einsum("bli,bij,blj->b", fit.conj(), inverse, fit).real for fit in explained),
+        start=np.zeros(B),
+    )
+    centres = 0.5 * (bands[:, 0] + bands[:, -1])
+    lines = np.arange(F)
+    entries = [
+        np.interp(lines, centres, e.real) + 1j * np.interp(lines, centres, e.imag)
+        for e in smooth.reshape(B, -1).T
+    ]
+    ratio = np.array(entries).T.reshape(F, n, n)
+    noise = factor @ ratio @ factor.conj().transpose(0, 2, 1)
+    level = np.einsum("blii->bi", noise[bands]).real / width
+    error = error - unknowns * level
+    significant = error > _SIGNIFICANT * level * np.sqrt(max(unknowns, 1))
+    moved = output > 0.0
+    share = np.divide(error, output, out=np.zeros_like(error), where=moved & significant)
+    clear = output > _CLEAR * freedom * level
+    relative = np.divide(error, output, out=np.zeros_like(error), where=clear)
+    return ResidualSpectrum(
+        np.interp(centres, lines, point.freq_hz),
+        np.asarray(noise),
+        power - n * unknowns,
+        float(np.sqrt(max(n * unknowns, 1))),
+        np.array([np.interp(lines, centres, x) for x in _widened(share).T]).T,
+        (float(relative[clear].sum()), int(clear.sum())),
+    )
+
+
+def _bands(F: int) -> NDArray[np.int_]:
+    """Return the lines (B, W) of bands that overlap by half."""
+    width = min(2 * HALF_WIDTH + 1, F)
+    starts = np.append(np.arange(0, F - width, HALF_WIDTH), F - width)
+    return np.asarray(starts[:, None] + np.arange(width))
+
+
+def _regress(
+    record: RecordLines, E: Complex, bands: NDArray[np.int_], offset: Array
+) -> tuple[Complex, int]:
+    """Return the part (B, W, n) of E that the excitation explains, and its complex unknowns."""
+    V = record.V[:, list(record.excited)][bands]
+    if not V.shape[2]:
+        return np.zeros((*bands.shape, E.shape[1]), complex), 0
+    X = np.concatenate([V, offset[:, None] * V], axis=2)
+    Q, _ = np.linalg.qr(X / np.maximum(np.linalg.norm(X, axis=1, keepdims=True), 1e-300))
+    return np.asarray(Q @ (Q.conj().transpose(0, 2, 1) @ E[bands])), X.shape[2]
+
+
+def _smoothed(x: Complex) -> Complex:
+    """Return the mean (B, n, n) of each band and its neighbours."""
+    padded = np.concatenate([x[:1], x, x[-1:]])
+    return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3.0)
+
+
+def _widened(x: Array) -> Array:
+    """Return the largest value (B, n) of each band and its neighbours."""
+    padded = np.concatenate([x[:1], x, x[-1:]])
+    return np.asarray(np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:]))

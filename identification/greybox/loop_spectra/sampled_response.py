@@ -1,0 +1,193 @@
+"""Compute the sampled response of the declared model with modes, and its sensitivities."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from ....model.declared_model import DeclaredModel
+from ....model.second_order import SecondOrder
+from .mode import Mode
+from .spectral_lines import PointLines
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_IMAGES = 24
+"""Images of the spectrum on either side that count; the response falls with the third power of the
+frequency at least, so what is left out is below 1e-5 of it."""
+_NODES = 49
+"""Frequencies at which images are computed: in the band they are smooth."""
+_SENSITIVITY_IMAGES = 1
+"""Sensitivities need not be exact: an error slows the search down, and changes no result."""
+_DIFFERENCE = 1e-4
+
+ParameterName = str | tuple[int, str] | tuple[int, int, int]
+"""A parameter of the model file; (mode, "omega" or "damping"); (mode, row, column) of strength."""
+
+
+@dataclass(frozen=True)
+class LinearPlant:
+    """The declared model at its parameter values, and modes beside it."""
+
+    model: DeclaredModel
+    modes: tuple[Mode, ...] = ()
+
+    def moved(self, names: Sequence[ParameterName], step: Array) -> LinearPlant:
+        """Return the plant with its parameters changed by step (N,), in SI units."""
+        values, modes = {}, [replace(m, strength=m.strength.copy()) for m in self.modes]
+        for name, change in zip(names, step.tolist(), strict=True):
+            if isinstance(name, str):
+                values[name] = self.model.values[name] + change
+            elif len(name) == 3:
+                k, i, j = name
+                modes[k].strength[i, j] += change
+                if modes[k].kind == "attached" and i != j:
+                    modes[k].strength[j, i] += change
+            else:
+                k, what = name
+                modes[k] = replace(modes[k], **{what: getattr(modes[k], what) + change})
+        return LinearPlant(self.model.with_values(values), tuple(modes))
+
+
+def response(plant: LinearPlant, point: PointLines) -> Complex:
+    """Return P (F, n, p) from the command to the output at the point's lines, input held (zoh).
+
+    It is the sum over the images s + 2 pi k j / Ts of the continuous response times hold, lag and
+    delay, which is exact for any fraction of a period.
+    """
+    at = plant.model.at(point.schedule)
+    f, Ts_s, delay_s = point.freq_hz, point.Ts_s, point.delay_s
+    nodes = np.linspace(f[0], f[-1], _NODES) if len(f) > _NODES else f
+    orders = np.array([k for k in range(-_IMAGES, _IMAGES + 1) if k != 0])
+    shifted = (nodes + orders[:, None] / Ts_s).ravel()
+    images = _held_response(at, plant.modes, shifted, Ts_s, delay_s)
+    summed = images.reshape(len(orders), len(nodes), *images.shape[1:]).sum(axis=0)
+    if len(f) > _NODES:
+        summed = CubicSpline(nodes, summed)(f)
+    return np.asarray(_held_response(at, plant.modes, f, Ts_s, delay_s) + summed)
+
+
+def continuous_response(
+    plant: LinearPlant, schedule: Mapping[str, float], freq_hz: Array
+) -> Complex:
+    """Return the response (F, n, p) from an acting force to the output, without hold and lag."""
+    s = np.asarray(2j * np.pi * freq_hz)
+    return _continuous(plant.model.at(schedule), plant.modes, s)[0]
+
+
+def sensitivities(
+    plant: LinearPlant, point: PointLines, names: Sequence[ParameterName], scales: Array
+) -> Complex:
+    """Return dP / dparameter (F, n, p, N) for parameters by name.
+
+    `scales` (N,): typical changes, for the differences of the declared matrices.
+    """
+    at = plant.model.at(point.schedule)
+    changes = {
+        name: _change(plant.model, point.schedule, name, _DIFFERENCE * scale)
+        for name, scale in zip(names, scales, strict=True)
+        if isinstance(name, str)
+    }
+    n, p = at.B.shape
+    found = np.zeros((len(point.freq_hz), n, p, len(names)), complex)
+    for image in range(-_SENSITIVITY_IMAGES, _SENSITIVITY_IMAGES + 1):
+        freq_hz = point.freq_hz + image / point.Ts_s
+        s, g = _held(at, freq_hz, point.Ts_s, point.delay_s)
+        X, Q = _continuous(at, plant.modes, s)
+        QB = Q @ at.B
+        # Sums over rows a and columns b of a changed matrix: - g Q[:, a] (Q B)[b, :] s^power.
+        by_entry = -np.einsum("f,fia,fbj->fabij", g, Q, QB, optimize=True)
+        lag = -s / (1.0 + s * at.lag_s)
+        for k, name in enumerate(names):
+            if isinstance(name, str):
+                d = changes[name]
+                powers = ((d.M, s * s), (d.D, s), (d.K, np.ones_like(s)))
+                for matrix, power in powers:
+                    for a, b in np.argwhere(matrix != 0.0):
+                        found[..., k] += (matrix[a, b] * power)[:, None, None] * by_entry[:, a, b]
+                if np.any(d.B):
+                    found[..., k] += g[:, None, None] * (Q @ d.B)
+                if d.lag_s:
+                    found[..., k] += d.lag_s * (g * lag)[:, None, None] * X
+                if d.delay_s:
+                    found[..., k] -= d.delay_s * (g * s)[:, None, None] * X
+            else:
+                found[..., k] += _by_mode(plant.modes[name[0]], name, s, g, Q, QB)
+    return found
+
+
+def _held_response(
+    at: SecondOrder, modes: Sequence[Mode], freq_hz: Array, Ts_s: float, delay_s: float
+) -> Complex:
+    s, g = _held(at, freq_hz, Ts_s, delay_s)
+    return np.asarray(g[:, None, None] * _continuous(at, modes, s)[0])
+
+
+def _held(at: SecondOrder, freq_hz: Array, Ts_s: float, delay_s: float) -> tuple[Complex, Complex]:
+    """Return s (F,), and hold times delay times lag (F,)."""
+    s = np.asarray(2j * np.pi * freq_hz)
+    hold = -np.expm1(-s * Ts_s) / (s * Ts_s)
+    return s, np.asarray(hold * np.exp(-s * (at.delay_s + delay_s)) / (1.0 + s * at.lag_s))
+
+
+def _continuous(at: SecondOrder, modes: Sequence[Mode], s: Complex) -> tuple[Complex, Complex]:
+    """Return the response (F, n, p) without hold and lag, and the compliance Q (F, n, n)."""
+    Z = (s * s)[:, None, None] * at.M + s[:, None, None] * at.D + at.K
+    for m in modes:
+        if m.kind == "attached":
+            Z = Z - (s**4 / m.denominator(s))[:, None, None] * m.strength
+    Q = np.linalg.inv(Z)
+    X = Q @ at.B
+    for m in modes:
+        if m.kind != "attached":
+            X = X + m.strength / m.denominator(s)[:, None, None]
+    return np.asarray(X), np.asarray(Q)
+
+
+def _by_mode(
+    m: Mode,
+    name: tuple[int, str] | tuple[int, int, int],
+    s: Complex,
+    g: Complex,
+    Q: Complex,
+    QB: Complex,
+) -> Complex:
+    d = m.denominator(s)
+    if len(name) == 2:
+        slope = 2.0 * (m.damping * s + m.omega) if name[1] == "omega" else 2.0 * m.omega * s
+        factor = -(g * slope / d**2)[:, None, None]
+        if m.kind == "attached":
+            return np.asarray(factor * (s**4)[:, None, None] * (Q @ m.strength @ QB))
+        return np.asarray(factor * m.strength)
+    _, i, j = name
+    if m.kind == "attached":
+        part = Q[:, :, i, None] * QB[:, j, None, :]
+        if i != j:
+            part = part + Q[:, :, j, None] * QB[:, i, None, :]
+        return np.asarray((g * s**4 / d)[:, None, None] * part)
+    found = np.zeros_like(QB)
+    found[:, i, j] = g / d
+    return found
+
+
+def _change(
+    model: DeclaredModel, schedule: Mapping[str, float], name: str, step: float
+) -> SecondOrder:
+    """Return the derivatives of the matrices with respect to a parameter."""
+    value = model.values[name]
+    # A lag is not negative.
+    low_step = min(step, value) if name in model.lag.names else step
+    low, high = (
+        model.with_values({name: x}).at(schedule) for x in (value - low_step, value + step)
+    )
+    width = low_step + step
+    M, D, K, B, force = (
+        (getattr(high, x) - getattr(low, x)) / width for x in ("M", "D", "K", "B", "force")
+    )
+    lag_s, delay_s = (high.lag_s - low.lag_s) / width, (high.delay_s - low.delay_s) / width
+    return SecondOrder(M, D, K, B, force, lag_s, delay_s)

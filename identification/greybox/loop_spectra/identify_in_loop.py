@@ -47,6 +47,8 @@ _NEARLY = 1.5
 """Cost over that of the other kind up to which a mode's kind is tried further."""
 _BEYOND = 3.0
 """Frequency of the mode that stands for those above the band, over the band's end."""
+_AROUND = 0.1
+"""Relative distance from a mode within which its kind shows."""
 _ROUNDS = 8
 
 
@@ -226,57 +228,78 @@ class _Search:
         self.spread = np.where([n in names for n in p.names], KNOWN_TO * p.worth, np.inf)
         return held
 
-    def _worst(self) -> tuple[float, float]:
-        """Return the largest excess of a band over chance, points together, and where it is."""
+    def _excess(self) -> tuple[Array, Array]:
+        """Return the excess (B,) of bands in standard deviations of chance, and frequencies (B,).
+
+        Points together, those of the longest records.
+        """
         longest = max(len(r.freq_hz) for r in self.residuals)
         same = [r for r in self.residuals if len(r.freq_hz) == longest]
         excess = np.sum([r.excess for r in same], axis=0)
-        z = excess / np.sqrt(np.sum([r.excess_sd**2 for r in same]))
+        return excess / np.sqrt(np.sum([r.excess_sd**2 for r in same])), same[0].freq_hz
+
+    def _worst(self) -> tuple[float, float]:
+        z, freq_hz = self._excess()
         k = int(np.argmax(z))
-        return float(z[k]), float(same[0].freq_hz[k])
+        return float(z[k]), float(freq_hz[k])
 
     def _choose_kinds(self) -> None:
-        """Let each mode be of the kind, bending or attached, that leaves less."""
-        for k, mode in enumerate(self.plant.modes):
-            if mode.kind != "bending":
-                continue
-            problem = self._problem(self.step)
-            other = self._attached(mode)
+        """Let modes be attached where that leaves less.
+
+        The mode with the largest residual around it is tried first. One whose surroundings are
+        white is of the right kind.
+        """
+        tried: set[int] = set()
+        while True:
+            z, freq_hz = self._excess()
+            around = {
+                k: float(np.max(z, where=np.abs(freq_hz / m.freq_hz - 1.0) < _AROUND, initial=0.0))
+                for k, m in enumerate(self.plant.modes)
+                if m.kind == "bending" and k not in tried
+            }
+            k = max(around, key=lambda k: around[k], default=-1)
+            if k < 0 or around[k] < NOT_WHITE:
+                return
+            tried.add(k)
+            other = self._attached(self.plant.modes[k])
             if other is None:
                 continue
-            modes = list(self.plant.modes)
-            modes[k] = other
+            problem = self._problem(self.step)
+            modes = (*self.plant.modes[:k], other, *self.plant.modes[k + 1 :])
             as_bending = problem.search(self.plant, 1)
-            as_attached = problem.search(replace(self.plant, modes=tuple(modes)), 2)
+            as_attached = problem.search(replace(self.plant, modes=modes), 2)
             if as_attached[2] < _NEARLY * as_bending[2]:
                 as_attached = problem.search(as_attached[0], 3)
             self.plant = min(as_bending, as_attached, key=lambda found: found[2])[0]
             self.steps += 1
-            if self.plant.modes[k].kind != mode.kind:
-                self._split()
-                self._weigh_by_frequency()
+            self._split()
+            self._weigh_by_frequency()
 
     def _drop_chance(self) -> None:
         """Leave out modes whose strength is no more than chance and model error explain.
 
-        One of them stands for the compliance of all modes above the band.
+        One of them stands for the compliance of all modes above the band. Of two modes that are
+        close to each other, the weaker leaves first.
         """
         n, p = self.points[0].records[0].Y.shape[1], self.points[0].records[0].U.shape[1]
         omega = _BEYOND * 2.0 * np.pi * float(self.points[0].freq_hz[-1])
         beyond = Mode("beyond", omega, 0.0, np.zeros((n, p)))
         self.plant = replace(self.plant, modes=(*self.plant.modes, beyond))
-        while True:
-            self._split()
-            self._weigh_by_frequency()
+        while self.plant.modes:
             factor = self._fit(2, self.step)
             inverse = np.linalg.pinv(factor.R)
             covariance = inverse @ inverse.T
             evidence = [self._evidence(k, factor, covariance) for k in range(len(self.plant.modes))]
-            if min(evidence, default=1.0) > 0.0:
+            modes = self.plant.modes
+            left: list[Mode] = []
+            for k in np.argsort(evidence):
+                beside = any(abs(m.omega / modes[k].omega - 1.0) < _AROUND for m in left)
+                if evidence[k] < 0.0 and not beside:
+                    left.append(modes[k])
+            if not left:
                 return
-            weakest = int(np.argmin(evidence))
-            modes = tuple(m for k, m in enumerate(self.plant.modes) if k != weakest)
-            self.plant = replace(self.plant, modes=modes)
+            kept = tuple(m for m in modes if not any(m is x for x in left))
+            self.plant = replace(self.plant, modes=kept)
 
     def _evidence(self, k: int, factor: Factor, covariance: Array) -> float:
         """Return by how much a mode lowers the Bayesian information criterion (Wald's test)."""

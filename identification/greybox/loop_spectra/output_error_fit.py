@@ -23,6 +23,7 @@ _BLOCK_LINES = 2_000
 _LARGEST_DAMPING = 0.7
 _LEAST_DAMPING = 1e-4
 _MAX_TRIES = 6
+_AS_FORESEEN = 0.01
 _TO_BOUND = 0.8
 _SINGULAR = 1e-10
 
@@ -131,8 +132,8 @@ class OutputErrorFit:
         for w in self.weighted:
             found, S, P = residual(plant, w.point)
             T = S @ transient_columns(plant, w.point)
-            dP = sensitivities(plant, w.point, names, scales) * scales
-            S_dP = np.einsum("fij,fjkN->fikN", S, dP, optimize=True)
+            dP = sensitivities(plant, w.point, names, scales)
+            S_dP = np.moveaxis(S @ dP, 0, 3) * scales
             C_S_P = w.point.controller @ S @ P
 
             def reduced(
@@ -166,8 +167,9 @@ class OutputErrorFit:
     def search(
         self, plant: LinearPlant, steps: int, tolerance: float = 0.05
     ) -> tuple[LinearPlant, Factor, float]:
-        """Take Gauss-Newton steps until one is below `tolerance` standard errors.
+        """Take Gauss-Newton steps until one is below `tolerance` standard errors, or as foreseen.
 
+        A step that lowers the cost by what the linear problem foretells ends at its minimum.
         Returns the plant, the factor before the last step, and the cost.
         """
         damping = 0.0
@@ -189,10 +191,13 @@ class OutputErrorFit:
                 damping = max(10.0 * damping, 1e-3)
             else:
                 return plant, f, f.cost
-            plant, damping = moved, 0.0 if damping < 1e-2 else damping / 10.0
+            plant = moved
+            gain = float(np.sum(f.right**2) - np.sum((f.R @ step + f.right) ** 2))
+            as_foreseen = damping == 0.0 and abs(f.cost - cost - gain) < _AS_FORESEEN * gain
             small = float(np.max(np.abs(step) / np.maximum(errors, 1e-300))) < tolerance
-            if small:
+            if small or as_foreseen:
                 break
+            damping = 0.0 if damping < 1e-2 else damping / 10.0
         return plant, f, cost
 
     def _moved(

@@ -22,8 +22,6 @@ _IMAGES = 24
 frequency at least, so what is left out is below 1e-5 of it."""
 _NODES = 49
 """Frequencies at which images are computed: in the band they are smooth."""
-_SENSITIVITY_IMAGES = 1
-"""Sensitivities need not be exact: an error slows the search down, and changes no result."""
 _DIFFERENCE = 1e-4
 
 ParameterName = str | tuple[int, str] | tuple[int, int, int]
@@ -83,41 +81,57 @@ def continuous_response(
 def sensitivities(
     plant: LinearPlant, point: PointLines, names: Sequence[ParameterName], scales: Array
 ) -> Complex:
-    """Return dP / dparameter (F, n, p, N) for parameters by name.
+    """Return dP / dparameter (N, F, n, p) for parameters by name.
 
     `scales` (N,): typical changes, for the differences of the declared matrices.
     """
     at = plant.model.at(point.schedule)
-    changes = {
-        name: _change(plant.model, point.schedule, name, _DIFFERENCE * scale)
-        for name, scale in zip(names, scales, strict=True)
+    changes = [
+        _change(plant.model, point.schedule, name, _DIFFERENCE * scale)
         if isinstance(name, str)
-    }
-    n, p = at.B.shape
-    found = np.zeros((len(point.freq_hz), n, p, len(names)), complex)
-    for image in range(-_SENSITIVITY_IMAGES, _SENSITIVITY_IMAGES + 1):
-        freq_hz = point.freq_hz + image / point.Ts_s
-        s, g = _held(at, freq_hz, point.Ts_s, point.delay_s)
-        X, Q = _continuous(at, plant.modes, s)
-        QB = Q @ at.B
-        # Sums over rows a and columns b of a changed matrix: - g Q[:, a] (Q B)[b, :] s^power.
-        by_entry = -np.einsum("f,fia,fbj->fabij", g, Q, QB, optimize=True)
-        lag = -s / (1.0 + s * at.lag_s)
-        for k, name in enumerate(names):
-            if isinstance(name, str):
-                d = changes[name]
-                powers = ((d.M, s * s), (d.D, s), (d.K, np.ones_like(s)))
-                for matrix, power in powers:
-                    for a, b in np.argwhere(matrix != 0.0):
-                        found[..., k] += (matrix[a, b] * power)[:, None, None] * by_entry[:, a, b]
-                if np.any(d.B):
-                    found[..., k] += g[:, None, None] * (Q @ d.B)
-                if d.lag_s:
-                    found[..., k] += d.lag_s * (g * lag)[:, None, None] * X
-                if d.delay_s:
-                    found[..., k] -= d.delay_s * (g * s)[:, None, None] * X
-            else:
-                found[..., k] += _by_mode(plant.modes[name[0]], name, s, g, Q, QB)
+        else None
+        for name, scale in zip(names, scales, strict=True)
+    ]
+    f = point.freq_hz
+    found = _held_sensitivities(at, plant.modes, names, changes, f, point)
+    nodes = np.linspace(f[0], f[-1], _NODES) if len(f) > _NODES else f
+    images = sum(
+        (
+            _held_sensitivities(at, plant.modes, names, changes, nodes + k / point.Ts_s, point)
+            for k in (-2, -1, 1, 2)  # an error in them slows the search down, no more
+        ),
+        start=np.zeros(1),
+    )
+    return found + (CubicSpline(nodes, images, axis=1)(f) if len(f) > _NODES else images)
+
+
+def _held_sensitivities(
+    at: SecondOrder,
+    modes: Sequence[Mode],
+    names: Sequence[ParameterName],
+    changes: Sequence[SecondOrder | None],
+    freq_hz: Array,
+    point: PointLines,
+) -> Complex:
+    s, g = _held(at, freq_hz, point.Ts_s, point.delay_s)
+    X, Q = _continuous(at, modes, s)
+    QB = Q @ at.B
+    # A changed entry of row a and column b changes P by - g Q[:, a] (Q B)[b, :] s^power.
+    by_entry = np.einsum("f,fia,fbj->abfij", -g, Q, QB, optimize=True)
+    lag = -s / (1.0 + s * at.lag_s)
+    found = np.zeros((len(names), *X.shape), complex)
+    for k, (name, change) in enumerate(zip(names, changes, strict=True)):
+        if change is None:
+            assert not isinstance(name, str)
+            found[k] = _by_mode(modes[name[0]], name, s, g, Q, QB)
+            continue
+        for matrix, power in ((change.M, s * s), (change.D, s), (change.K, np.ones_like(s))):
+            for a, b in np.argwhere(matrix != 0.0):
+                found[k] += (matrix[a, b] * power)[:, None, None] * by_entry[a, b]
+        if np.any(change.B):
+            found[k] += g[:, None, None] * (Q @ change.B)
+        if change.lag_s or change.delay_s:
+            found[k] += (g * (change.lag_s * lag - change.delay_s * s))[:, None, None] * X
     return found
 
 
@@ -180,14 +194,19 @@ def _change(
 ) -> SecondOrder:
     """Return the derivatives of the matrices with respect to a parameter."""
     value = model.values[name]
-    # A lag is not negative.
-    low_step = min(step, value) if name in model.lag.names else step
-    low, high = (
-        model.with_values({name: x}).at(schedule) for x in (value - low_step, value + step)
+    below, above = value - step, value + step
+    if name in model.lag.names:
+        below = max(below, 0.0)  # a lag is not negative
+    along = {key: np.array([x]) for key, x in schedule.items()}
+    entries = model.changes(name, below, above, along)
+    n, p = len(model.dof), len(model.inputs)
+    found = {key: np.zeros((n, p if key == "B" else n)) for key in ("M", "D", "K", "B")}
+    for key, matrix in found.items():
+        for row, column, change in entries[key]:
+            matrix[row, column] = float(np.ravel(change)[0]) / (above - below)
+    low, high = ({**model.values, **schedule, name: x} for x in (below, above))
+    lag_s, delay_s = (
+        (formula(high) - formula(low)) / (above - below) if name in formula.names else 0.0
+        for formula in (model.lag, model.delay)
     )
-    width = low_step + step
-    M, D, K, B, force = (
-        (getattr(high, x) - getattr(low, x)) / width for x in ("M", "D", "K", "B", "force")
-    )
-    lag_s, delay_s = (high.lag_s - low.lag_s) / width, (high.delay_s - low.delay_s) / width
-    return SecondOrder(M, D, K, B, force, lag_s, delay_s)
+    return SecondOrder(**found, force=np.zeros(n), lag_s=lag_s, delay_s=delay_s)

@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import BinaryIO, Self, cast
 
 import numpy as np
+import yaml
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -54,6 +55,24 @@ ZSTD_LEVEL = -3
 
 _ID = 1
 """Number of the one schema and of the one channel."""
+_QOS = yaml.safe_dump(
+    [
+        {
+            "history": 1,  # keep the last
+            "depth": 10,
+            "reliability": 1,  # reliable
+            "durability": 2,  # volatile
+            "deadline": {"sec": 0, "nsec": 0},
+            "lifespan": {"sec": 0, "nsec": 0},
+            "liveliness": 1,  # automatic
+            "liveliness_lease_duration": {"sec": 0, "nsec": 0},
+            "avoid_ros_namespace_conventions": False,
+        }
+    ],
+    sort_keys=False,
+)
+"""What profile ros2 of MCAP's registry asks of a channel, so that rosbag2 plays a log; its numbers
+are those of rmw, and durations of 0 its defaults."""
 
 
 def record_bytes(*records: McapRecord) -> bytes:
@@ -111,7 +130,11 @@ class LogWriter:
         text = (ros2msg(dtype, units) if schema is None else schema).encode()
         self._schema = Schema(id=_ID, name=schema_name, encoding=SchemaEncoding.ROS2, data=text)
         self._channel = Channel(
-            id=_ID, schema_id=_ID, topic=topic, message_encoding=MessageEncoding.CDR, metadata={}
+            id=_ID,
+            schema_id=_ID,
+            topic=topic,
+            message_encoding=MessageEncoding.CDR,
+            metadata={"offered_qos_profiles": _QOS},
         )
         self._names = dtype.names or ()
         if dtype.itemsize != sum(dtype[name].itemsize for name in self._names):

@@ -62,8 +62,8 @@ def place_in_words(where: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class _Words:
-    """Give the fields of a clause: {at} the place, {actuator} the same of one that a user named,
-    {s} the verb's s, others a parameter."""
+    """Give the fields of a clause: {at} all places, {first} and {second} one of them, {actuator}
+    the same as {at} of one that a user named, {s} the verb's s, others a parameter."""
 
     effect: Effect
     parameters: Parameters
@@ -71,6 +71,9 @@ class _Words:
     def __getitem__(self, field: str) -> str | _Parameter:
         if field == "at":
             return place_in_words(self.effect.where)
+        if field in ("first", "second"):
+            k = int(field == "second")
+            return place_in_words(self.effect.where[k : k + 1])
         if field == "actuator":
             ours = self.effect.where[0].startswith("coil:")
             return ("" if ours else "the actuator ") + place_in_words(self.effect.where)
@@ -202,7 +205,7 @@ _CLAUSES = {
     "sensor_nonlinearity": "the reading of {at} is not linear",
     "sensor_offset.constant": "{at} read{s} {offset} too {offset:high|low}",
     "sensor_offset.": "the reading of {at} drifts",
-    "sensor_crosstalk": "{at} read{s} a part of each other",
+    "sensor_crosstalk": "{first} reads {share:%} of {second} too",
     "sensor_lag": "the reading of {at} lags by {lag}",
     "sensor_stuck": "the reading of {at} sticks",
     "arm_length.": "the arm lengths are {arm:%} {arm:longer|shorter} than declared",

@@ -7,6 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
+import yaml
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Chunk, MessageIndex
 from mcap.stream_reader import StreamReader
@@ -87,6 +88,9 @@ def test_streaming_reader_finds_correct_crcs_and_record_order(path, rows):
         "MessageIndex",
     ]
     assert records[0].profile == "ros2"
+    # What the registry's profile ros2 requires of a channel.
+    (quality,) = yaml.safe_load(records[2].metadata["offered_qos_profiles"])
+    assert (quality["reliability"], quality["durability"], quality["history"]) == (1, 2, 1)
     with path.open("rb") as file:
         reader = NonSeekingReader(file, validate_crcs=True)
         assert sum(1 for _ in reader.iter_messages(log_time_order=False)) == rows.size

@@ -306,6 +306,12 @@ def _kind(record: TraceRecord) -> str:
 
 
 def _moves(position: Array) -> bool:
-    """Return whether a position (N,) varies by more than its white noise would."""
+    """Return whether a position (N,) varies by more than its white noise, or an encoder's step.
+
+    At rest an encoder may stand between two steps, and change between both.
+    """
     noise = float(white_noise(position[:, None] - position[0])[0])
-    return bool(np.ptp(position) > 2.0 * SearchOptions.chance(len(position)) * noise)
+    changes = np.abs(np.diff(position))
+    step = float(np.min(changes, where=changes > 0.0, initial=np.inf))
+    chance = 2.0 * SearchOptions.chance(len(position)) * noise
+    return bool(np.any(changes) and np.ptp(position) > max(chance, 1.5 * step))

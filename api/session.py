@@ -294,6 +294,7 @@ class Session:
         order: int | None = None,
         impulse_s: float | None = None,
         markov: Literal["least_squares", "correlation"] = "least_squares",
+        band_hz: tuple[float, float] | None = None,
         truth: str | Path | None = None,
         progress: Progress | None = None,
         warn: Warn | None = None,
@@ -305,6 +306,8 @@ class Session:
             order: number of states; default: chosen from the data.
             impulse_s: length of the impulse response in s; default: chosen from the data.
             markov: estimator of the impulse response.
+            band_hz: lowest and highest frequency that the fit of the declared model to a rig's
+                records uses; default: as far as the excitation shows.
             truth: SIM.yaml of a simulated flight, which plots and report draw for comparison.
             progress: called with activity and completed fraction.
             warn: called with each warning; default: warnings.warn.
@@ -317,7 +320,7 @@ class Session:
         from ..identification.options import Options
         from .identify import identify
 
-        options = Options(markov=markov, order=order, impulse_s=impulse_s)
+        options = Options(markov=markov, order=order, impulse_s=impulse_s, band_hz=band_hz)
         return identify(self, model, options, truth, progress, warn)
 
     def trace(

@@ -60,6 +60,14 @@ _RESULTS = ("model.yaml", "identified.mat", "multisine.mat")
     show_default=True,
     help="Estimator of the impulse response; see docs/correlation.md.",
 )
+@click.option(
+    "--band",
+    nargs=2,
+    metavar="LOW HIGH",
+    type=click.FloatRange(min=0.0),
+    help="Frequencies in Hz that the fit of the declared model to a rig's records uses; default: "
+    "as far as the excitation shows.",
+)
 @click.option("--out", required=True, type=FOLDER, help="Folder of the report.")
 @click.option("--mat", is_flag=True, help="Also write OUT/identified.mat for MATLAB and Octave.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
@@ -71,6 +79,7 @@ def command(
     order: int | None,
     impulse_s: float | None,
     markov: str,
+    band: tuple[float, float] | None,
     out: Path,
     mat: bool,
     as_json: bool,
@@ -89,12 +98,13 @@ def command(
       levid identify out/first/*.mcap out/beam/*.mcap --out out/all --mat
       levid identify arm.mcap --out out/arm --json
       levid identify arm.mcap --order 6 --impulse-s 0.4 --out out/arm-6
+      levid identify out/first/*.mcap --band 1 40 --out out/first/low
     """
     from ..report.plotting.min_max_bins import all_samples
 
     began = time.time()
     with all_samples(full):
-        found, undrawn = identify_logs(logs, model, truth, out, order, impulse_s, markov)
+        found, undrawn = identify_logs(logs, model, truth, out, order, impulse_s, markov, band)
     if mat:
         found.write_mat(out)
     for old in older_results(out, _RESULTS, began):
@@ -117,6 +127,7 @@ def identify_logs(
     order: int | None = None,
     impulse_s: float | None = None,
     markov: str = "least_squares",
+    band: tuple[float, float] | None = None,
 ) -> tuple[Identification, Exception | None]:
     """Identify the plant from logs and write the report and model.yaml to `out`.
 
@@ -133,7 +144,7 @@ def identify_logs(
     from ..api.session import Session
     from ..identification.options import Options
 
-    options = Options(markov=markov, order=order, impulse_s=impulse_s)
+    options = Options(markov=markov, order=order, impulse_s=impulse_s, band_hz=band)
     claim = claimed_folder(out, REPORT_FILES, REPORT_FOLDERS)
     with naming_options(), claim, progress("identifying") as report:
         found = identify(
@@ -146,7 +157,7 @@ def identify_logs(
         )
         report("report", 0.85)
         given: dict[str, object] = {"model": model, "truth": truth, "order": order}
-        given["impulse_s"] = impulse_s
+        given["impulse_s"], given["band"] = impulse_s, band
         if markov != "least_squares":
             given["markov"] = markov
         command = command_line("identify", logs=logs, **given, out=out)
@@ -175,6 +186,7 @@ def words(identified: Identification) -> list[str]:
             if p["se"] is not None
         ]
         lines += grey["unidentifiable"]
+        lines += _modes(grey["loop"]["modes"] if grey["loop"] else [])
         if any(point["kind"] == "open loop" for point in plain.get("points", [])):
             lines += _errors(grey["validation"], names)
     # Omit notes on skipped steps (harmless) and notes already printed as warnings.

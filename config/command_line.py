@@ -17,7 +17,7 @@ def command_line(
     """Return the command with its arguments quoted for a shell.
 
     `logs` follow `paths`; all logs of a folder become one pattern. An option that is None or False
-    is left out, and one that is True has no value; `_` in its name becomes `-`.
+    is left out, one that is True has no value, and a tuple several; `_` in its name becomes `-`.
     """
     words = ["levid", verb, *(_word(path) for path in paths)]
     if logs:
@@ -26,7 +26,9 @@ def command_line(
         if value is None or value is False:
             continue
         words.append(f"--{name.replace('_', '-')}")
-        if value is not True:
+        if isinstance(value, tuple):
+            words += [shell_word(str(part)) for part in value]
+        elif value is not True:
             words.append(_word(value) if isinstance(value, Path) else shell_word(str(value)))
     return " ".join(words)
 

@@ -24,6 +24,8 @@ class Options:
     an eighth of the longest record in open loop.
     holdout: share of every record, at its end, that is held out to check the model.
     lag_s: known first-order lag of the inputs in s (current loop), removed before the realisation.
+    band_hz: lowest and highest frequency that the fit of the declared model to a rig's records
+    uses. None: up to where the excitation still shows above the noise.
     """
 
     markov: str = "least_squares"
@@ -32,6 +34,7 @@ class Options:
     segment_s: float | None = None
     holdout: float = 0.25
     lag_s: float = 0.0
+    band_hz: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.markov not in ESTIMATORS:
@@ -42,6 +45,10 @@ class Options:
         if not 0.0 <= self.holdout <= 0.5:
             raise IdentificationError(
                 f"holdout: expected a share of 0 to 0.5, found {self.holdout:g}"
+            )
+        if self.band_hz is not None and not 0.0 <= self.band_hz[0] < self.band_hz[1]:
+            raise IdentificationError(
+                f"band_hz: expected two frequencies, the lower one first, found {self.band_hz}"
             )
         for name in ("impulse_s", "segment_s"):
             value = getattr(self, name)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..model.second_order import StateSpace
+from .greybox.fit_in_loop import FittedLoop
 from .greybox.identify_greybox import GreyBox
 from .json_data import plain_json
 from .nonparametric.markov_parameters import MarkovEstimate
@@ -224,6 +225,7 @@ def _grey_box(grey: GreyBox) -> dict[str, Any]:
             "by_order": dict(zip(grey.balance.names, grey.balance.by_order, strict=True)),
             "se": dict(zip(grey.balance.names, grey.balance.se, strict=True)),
         },
+        "loop": grey.loop and _loop(grey.loop),
         "unidentifiable": [str(u) for u in grey.fit.unidentifiable],
         "at_bound": grey.fit.at_bound,
         "noise": {
@@ -245,4 +247,35 @@ def _grey_box(grey: GreyBox) -> dict[str, Any]:
             }
             for v in grey.validations
         ],
+    }
+
+
+def _loop(loop: FittedLoop) -> dict[str, Any]:
+    band, fit = loop.band, loop.fit
+    modes = []
+    for mode in sorted(fit.modes, key=lambda m: m.omega):
+        frequency_se_hz, damping_se = fit.mode_errors(mode)
+        modes.append(
+            {
+                "kind": mode.kind,
+                "frequency_hz": mode.freq_hz,
+                "frequency_se_hz": frequency_se_hz,
+                "damping": mode.damping,
+                "damping_se": damping_se,
+                "strength": mode.strength,
+            }
+        )
+    return {
+        "valid_band": {
+            "end_hz": band.end_hz,
+            "low_hz": band.low_hz,
+            "high_hz": band.high_hz,
+            "share": band.share,
+            "complete": band.complete,
+        },
+        "modes": modes,
+        "over_noise": loop.over_noise,
+        "white": fit.white,
+        "worst": {"standard_deviations": fit.worst, "frequency_hz": fit.worst_hz},
+        "unexplained": loop.unexplained,
     }

@@ -167,6 +167,7 @@ def _grey_box(
                 found.experiments,
                 options.holdout,
                 lambda what, share: report(f"fit, {what}", 0.5 + 0.5 * share),
+                options.band_hz,
             )
     except IdentificationError as error:
         return None, _NotFittedError(error, _column_hint(logs, model) if imported else "")

@@ -34,7 +34,7 @@ from levid.identification.greybox.experiment.experiment_from_log import (
     Experiment,
     experiment_from_log,
 )
-from levid.identification.greybox.fit import fit_model
+from levid.identification.greybox.fit_in_loop import fit_in_loop
 from levid.identification.greybox.identify_greybox import identify_grey_box
 from levid.identification.records.record import IdentificationError
 from levid.log.reader import read_log
@@ -98,7 +98,7 @@ def errors_in_se(seed: int, duration_s: float) -> list[float]:
     truth, start = load_model(shipped("models/rig.yaml")), off_by_a_tenth(seed)
     try:
         with threadpool_limits(1):
-            fit = fit_model(start, flown(start, duration_s, 12.0, seed))
+            fit, _ = fit_in_loop(start, flown(start, duration_s, 12.0, seed), (), None)
     except IdentificationError as error:
         print(f"seed {seed}: {error}", file=sys.stderr)
         return []

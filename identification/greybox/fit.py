@@ -127,6 +127,34 @@ def unidentifiable_at_start(
     return tuple(find_unidentifiable(R, p.names, p.worth, p.scale))
 
 
+@dataclass(frozen=True)
+class Linearised:
+    """Whitened errors of records at a model, linear in the free parameters `names` (F,).
+
+    R (F, F), in SI units, and right (F,): the errors are R change + right, and a rest of `squares`
+    over `rows` that no change reaches. Priors are not in it.
+    """
+
+    names: tuple[str, ...]
+    R: Array
+    right: Array
+    squares: float
+    rows: int
+
+
+def linearised(config: ModelConfig, experiments: Sequence[Experiment], noise: Noise) -> Linearised:
+    """Return the prediction errors of records at the declared values of `config`."""
+    with threadpool_limits(1):
+        search = _Search(config, experiments, lambda _what, _share: None)
+        search.noise = noise
+        R = search.factor(search.predict_all(search.model))
+    rows = sum(e.y.size for e in experiments)
+    scale = search.parameters.scale
+    return Linearised(
+        search.parameters.names, R[:-1, :-1] / scale, R[:-1, -1], float(R[-1, -1] ** 2), rows
+    )
+
+
 class _Search:
     def __init__(
         self, config: ModelConfig, experiments: Sequence[Experiment], progress: Progress

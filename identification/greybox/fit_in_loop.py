@@ -6,18 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
-from ..records.record import IdentificationError
 from .experiment.experiment_from_log import Experiment
-from .fit import Fit, fit_model
+from .fit import Fit
 from .free_parameters import free_parameters
 from .loop_spectra.identify_in_loop import LoopFit, identify_in_loop
 from .loop_spectra.measured_noise import noise_spectrum
 from .loop_spectra.output_error_fit import without_transients
 from .loop_spectra.spectral_lines import lines_by_point
 from .loop_spectra.valid_band import ValidBand, valid_band
+from .moving_records import determined
 from .prediction.prediction_errors import predict
 
 _AT_BOUND = 1e-2
@@ -59,9 +58,8 @@ def fit_in_loop(
 ) -> tuple[Fit, FittedLoop]:
     """Fit records of the rig, some of which excite a loop at rest.
 
-    These and still records give their parameters by spectra. What they do not determine, and only
-    then, records with a moving schedule may: they are fitted by their prediction errors, with all
-    other parameters held.
+    These and still records give their parameters by spectra. What they do not determine, records
+    with a moving schedule may (`determined`).
 
     `held_out`: rows kept aside, empty for none.
 
@@ -69,34 +67,23 @@ def fit_in_loop(
     """
     rest = [e for e in experiments if e.loop is not None and not e.moving]
     found = identify_in_loop(config, rest, band_hz, progress)
-    held = {u.name for u in found.unidentifiable}
-    names = free_parameters(config).names
-    free = tuple(name for name in names if name not in held)
-    own = [found.names.index(name) for name in free]
-    covariance = found.covariance[np.ix_(own, own)]
-    model, unidentifiable = found.plant.model, found.unidentifiable
-    moving = [e for e in experiments if e.moving]
-    if held and moving:
-        rest_known = {
-            name: p.model_copy(update={"value": model.values[name], "fixed": name not in held})
-            for name, p in config.parameters.items()
-        }
-        try:
-            more = fit_model(config.model_copy(update={"parameters": rest_known}), moving)
-        except IdentificationError:
-            more = None  # too short: these parameters keep their declared values
-        if more is not None and more.free:
-            model, unidentifiable = more.model, more.unidentifiable
-            free, covariance = _joined(free, covariance, more)
-    parameters = free_parameters(config).only([names.index(name) for name in free])
-    predictions = tuple(predict(model, e, config.input, found.noise) for e in experiments)
+    known = determined(config, found, [e for e in experiments if e.moving])
+    free, model = known.free, known.model
+    p = free_parameters(config)
+    bounds = p.only([p.names.index(name) for name in free])
     values = np.array([model.values[name] for name in free])
-    edge = _AT_BOUND * np.sqrt(np.diag(covariance))
-    at_bound = (values - parameters.low < edge) | (parameters.high - values < edge)
+    edge = _AT_BOUND * np.sqrt(np.diag(known.covariance))
+    at_bound = (values - bounds.low < edge) | (bounds.high - values < edge)
     fit = Fit(
-        model, free, covariance, tuple(unidentifiable),
-        tuple(np.array(free)[at_bound].tolist()), found.noise, predictions, found.steps,
-    )  # fmt: skip
+        model,
+        free,
+        known.covariance,
+        known.unidentifiable,
+        tuple(name for name, is_at in zip(free, at_bound, strict=True) if is_at),
+        found.noise,
+        tuple(predict(model, e, config.input, found.noise) for e in experiments),
+        found.steps,
+    )
     compared = [e for e in held_out or experiments if e.loop is not None and not e.moving]
     whole = replace(found, plant=replace(found.plant, model=model))
     return fit, FittedLoop(whole, valid_band(found), _over_noise(found, compared))
@@ -112,12 +99,3 @@ def _over_noise(fit: LoopFit, experiments: Sequence[Experiment]) -> float:
         for E in without_transients(fit.plant, point, [noise] * len(point.records)):
             ratios.append(np.sqrt(np.sum(np.abs(E) ** 2, axis=0) / expected))
     return float(np.max(ratios))
-
-
-def _joined(
-    free: tuple[str, ...], covariance: NDArray[np.float64], more: Fit
-) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    n, k = len(free), len(more.free)
-    both = np.zeros((n + k, n + k))
-    both[:n, :n], both[n:, n:] = covariance, more.covariance
-    return (*free, *more.free), both

@@ -272,6 +272,7 @@ def _loop(loop: FittedLoop) -> dict[str, Any]:
             "high_hz": band.high_hz,
             "share": band.share,
             "complete": band.complete,
+            "by_mode": band.by_mode,
         },
         "modes": modes,
         "over_noise": loop.over_noise,

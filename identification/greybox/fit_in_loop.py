@@ -29,7 +29,7 @@ class FittedLoop:
 
     over_noise: largest simulation error of an output in a record, with all modes and at all
     frequencies, over the noise; of rows that were not fitted, if any are held out. unexplained:
-    largest share of an output that neither the model nor a mode explains in a narrow band.
+    share of an output that neither the model nor a mode explains where that is clearest.
     """
 
     fit: LoopFit
@@ -38,8 +38,12 @@ class FittedLoop:
 
     @property
     def unexplained(self) -> float:
-        """Root of the largest share of power."""
-        return float(np.sqrt(max(r.relative_error.max() for r in self.fit.residuals)))
+        """Share of the output at the frequency where most is unexplained."""
+        shares = []
+        for point, found in zip(self.fit.points, self.fit.residuals, strict=True):
+            line = int(np.argmin(np.abs(point.freq_hz - self.fit.worst_hz)))
+            shares.append(float(found.relative_error[line].max()))
+        return float(np.sqrt(max(shares)))
 
 
 def shows_loop(e: Experiment) -> bool:
@@ -59,13 +63,17 @@ def fit_in_loop(
     """Fit records of the rig, some of which excite a loop at rest.
 
     These and still records give their parameters by spectra. What they do not determine, records
-    with a moving schedule may (`determined`).
+    with a moving schedule may (`determined`). Records of single coils count only without others:
+    their forces drive shapes that the wrench does not.
 
     `held_out`: rows kept aside, empty for none.
 
     Raises IdentificationError as identify_in_loop does.
     """
     rest = [e for e in experiments if e.loop is not None and not e.moving]
+    by_wrench = [e for e in rest if not e.by_coil]
+    if any(map(shows_loop, by_wrench)):
+        rest = by_wrench
     found = identify_in_loop(config, rest, band_hz, progress)
     known = determined(config, found, [e for e in experiments if e.moving])
     free, model = known.free, known.model
@@ -84,7 +92,8 @@ def fit_in_loop(
         tuple(predict(model, e, config.input, found.noise) for e in experiments),
         found.steps,
     )
-    compared = [e for e in held_out or experiments if e.loop is not None and not e.moving]
+    names = {e.name for e in rest}
+    compared = [e for e in held_out or experiments if e.name in names and not e.moving]
     whole = replace(found, plant=replace(found.plant, model=model))
     return fit, FittedLoop(whole, valid_band(found), _over_noise(found, compared))
 

@@ -55,15 +55,20 @@ class GreyBoxReport:
     def explains(self) -> bool:
         """Whether the fitted model leaves no more than noise, as far as these records show.
 
-        In a loop, the modes beside it count: it is valid up to the end of its band.
+        In a loop: whether the band in which it is valid covers its own modes.
         """
         if self.grey.explains_nothing:
             return False
         if self.grey.loop is not None:
-            return self.grey.loop.over_noise <= NOISE_MOST
+            return self.grey.loop.band.end_hz >= self.rigid_hz
         least, tests = least_chance(self)
         white = not tests or not least * tests < NOT_WHITE
         return white and (self.worst is None or self.worst.over_noise <= NOISE_MOST)
+
+    @property
+    def rigid_hz(self) -> float:
+        """The model's highest natural frequency, 0 without any."""
+        return max((float(f) for m in self.modes for f in m.frequency_hz), default=0.0)
 
     def bounds(self, name: str) -> Bounds:
         """Return the error bounds of a comparison."""
@@ -221,7 +226,7 @@ def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None)
     error = "" if worst is None else f" ({worst.over_noise:.2f} times the noise)"
     bounds = "".join(f" {text}" for text in at_bound_sentences(report.grey))
     if report.grey.loop is not None and not report.grey.explains_nothing:
-        return f"{loop_answer(report.grey.loop, name, NOISE_MOST)}{bounds}{natural}"
+        return f"{loop_answer(report.grey.loop, name, report.rigid_hz)}{bounds}{natural}"
     if report.grey.doubts:
         return f"Do not use a model of these records: {'; '.join(report.grey.doubts)}."
     if report.explains:

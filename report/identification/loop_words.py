@@ -14,21 +14,23 @@ from ..session.session_page import listed
 _KINDS = {"bending": "bends the structure", "attached": "a body moves on the structure"}
 
 
-def loop_answer(loop: FittedLoop, name: str, noise_most: float) -> str:
-    """Return the answer: up to where to use the fitted model, and which modes it lacks."""
+def loop_answer(loop: FittedLoop, name: str, rigid_hz: float) -> str:
+    """Return the answer: up to where to use the fitted model, and which modes it lacks.
+
+    rigid_hz: its highest natural frequency, which a useful model covers.
+    """
     band, fit = loop.band, loop.fit
     share = f"{100.0 * band.share:g} %"
-    times = f"{loop.over_noise:.2f} times the noise"
-    if loop.over_noise > noise_most:
+    times = f"the simulation error is {loop.over_noise:.2f} times the noise"
+    if band.end_hz < rigid_hz:
         return (
-            f"The fitted model '{name}' does not explain these records, nor do modes beside it: "
-            f"the simulation error is {times}. Most is unexplained at {fit.worst_hz:.3g} Hz."
+            f"The fitted model '{name}' does not explain these records: from {band.end_hz:.3g} Hz "
+            f"on, more than {share} of the response is not its own, and {times}."
         )
     if band.complete:
         found = (
             f"Use the fitted model '{name}': up to {band.end_hz:.3g} Hz, as far as these records "
-            f"excite, its error is below {share} of the response, and the simulation error is "
-            f"{times}."
+            f"excite, its error is below {share} of the response, and {times}."
         )
     else:
         found = (
@@ -36,10 +38,10 @@ def loop_answer(loop: FittedLoop, name: str, noise_most: float) -> str:
             f"{share} of the response."
         )
         if fit.modes:
-            found += (
-                f" It lacks {_count(fit.modes)}: {_listed(fit.modes)}. With "
-                f"{'it' if len(fit.modes) == 1 else 'them'} the simulation error is {times}."
-            )
+            found += f" It lacks {_count(fit.modes)}: {_listed(fit.modes)}. With "
+            found += f"{'it' if len(fit.modes) == 1 else 'them'} {times}."
+        else:
+            found += f" There {times}."
     return f"{found}{_left(loop)}"
 
 

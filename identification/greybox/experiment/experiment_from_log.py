@@ -89,6 +89,8 @@ class Experiment:
     """What the log states otherwise than the model, such as units."""
     hold: Hold | None = None
     correlations: tuple[Array, Array] | None = None
+    by_coil: bool = False
+    """Whether coils are excited one by one, and not by the wrench alone."""
 
     @property
     def causes(self) -> Array | None:
@@ -216,8 +218,9 @@ def _flown(log: Log) -> Experiment:
     geometry = rig_of(log).geometry
     S = shape_matrix(geometry.coil_x_m, geometry.coil_y_m)
     T = decoupling_matrix(geometry.sensors_x_m, geometry.sensors_y_m)
+    coils = coil_excitation(log, len(S))
     loop = ControlLoop(
-        columns(log, EXCITATION) + coil_excitation(log, len(S)) @ S,
+        columns(log, EXCITATION) + coils @ S,
         columns(log, REFERENCE),
         columns(log, FEED_FORWARD),
         np.zeros((len(log.rows), len(POSE))),
@@ -237,6 +240,7 @@ def _flown(log: Log) -> Experiment:
         remarks=tuple(log_remarks(log)),
         hold="zoh",
         correlations=(correlation(S.T @ S), correlation(T @ T.T)),
+        by_coil=bool(np.any(coils)),
     )
 
 

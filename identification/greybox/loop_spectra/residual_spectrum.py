@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import gamma
 
 from .spectral_lines import PointLines, RecordLines
 
@@ -15,8 +16,8 @@ Complex = NDArray[np.complex128]
 
 HALF_WIDTH = 12
 """Lines on either side of a band's centre: 25 lines leave 23 degrees of freedom a record."""
-_SIGNIFICANT = 3.0
-"""Standard deviations of chance from which a model error counts."""
+_BY_CHANCE = 1e-6
+"""Probability by chance from which on a model error counts; some thousand bands are looked at."""
 _CLEAR = 20.0
 """Power of the output over the noise from which it counts for the misfit."""
 
@@ -62,16 +63,22 @@ def split_residual(
     cross, freedom = np.zeros((B, n, n), complex), 0
     explained: list[Complex] = []
     error, output, unknowns = np.zeros((B, n)), np.zeros((B, n)), 0
+    chance = np.zeros((B, width))
     for record, E in zip(point.records, residuals, strict=True):
-        fit, used = _regress(record, E, bands, offset)
-        left = np.einsum("blij,blj->bli", whiten[bands], E[bands] - fit)
+        # Whitened first: within a band at a resonance the noise changes by decades.
+        whitened = np.einsum("fij,fj->fi", whiten, E)[bands]
+        Q = _regressors(record, bands, offset)
+        fit = Q @ (Q.conj().transpose(0, 2, 1) @ whitened)
+        left = whitened - fit
         cross += left.transpose(0, 2, 1) @ left.conj()
-        freedom += width - used
-        if used:
-            explained.append(np.einsum("blij,blj->bli", whiten[bands], fit))
-            error += np.sum(np.abs(fit) ** 2, axis=1)
+        freedom += width - Q.shape[2]
+        if Q.shape[2]:
+            explained.append(np.asarray(fit))
+            raw = np.einsum("blij,blj->bli", factor[bands], fit)
+            error += np.sum(np.abs(raw) ** 2, axis=1)
             output += np.sum(np.abs(record.Y[bands]) ** 2, axis=1)
-            unknowns += used
+            unknowns += Q.shape[2]
+            chance += np.sum(np.abs(Q) ** 2, axis=2)
     smooth = _smoothed(np.asarray(cross / freedom))
     inverse = np.linalg.inv(smooth)
     power = sum(
@@ -86,9 +93,13 @@ def split_residual(
     ]
     ratio = np.array(entries).T.reshape(F, n, n)
     noise = factor @ ratio @ factor.conj().transpose(0, 2, 1)
-    level = np.einsum("blii->bi", noise[bands]).real / width
-    error = error - unknowns * level
-    significant = error > _SIGNIFICANT * level * np.sqrt(max(unknowns, 1))
+    at_lines = np.einsum("blii->bli", noise[bands]).real
+    level = at_lines.mean(axis=1)
+    by_chance = np.einsum("bl,bli->bi", chance, at_lines)
+    # The power of k complex Gaussian numbers has a gamma distribution.
+    limit = gamma.isf(_BY_CHANCE, max(unknowns, 1)) / max(unknowns, 1)
+    significant = error > limit * by_chance
+    error = error - by_chance
     moved = output > 0.0
     share = np.divide(error, output, out=np.zeros_like(error), where=moved & significant)
     clear = output > _CLEAR * freedom * level
@@ -110,16 +121,14 @@ def _bands(F: int) -> NDArray[np.int_]:
     return np.asarray(starts[:, None] + np.arange(width))
 
 
-def _regress(
-    record: RecordLines, E: Complex, bands: NDArray[np.int_], offset: Array
-) -> tuple[Complex, int]:
-    """Return the part (B, W, n) of E that the excitation explains, and its complex unknowns."""
+def _regressors(record: RecordLines, bands: NDArray[np.int_], offset: Array) -> Complex:
+    """Return orthonormal columns (B, W, K): the excitation, and it times a line over the band."""
     V = record.V[:, list(record.excited)][bands]
     if not V.shape[2]:
-        return np.zeros((*bands.shape, E.shape[1]), complex), 0
+        return np.zeros((*bands.shape, 0), complex)
     X = np.concatenate([V, offset[:, None] * V], axis=2)
-    Q, _ = np.linalg.qr(X / np.maximum(np.linalg.norm(X, axis=1, keepdims=True), 1e-300))
-    return np.asarray(Q @ (Q.conj().transpose(0, 2, 1) @ E[bands])), X.shape[2]
+    size = np.linalg.norm(X, axis=1, keepdims=True)
+    return np.asarray(np.linalg.qr(X / np.maximum(size, 1e-300))[0])
 
 
 def _smoothed(x: Complex) -> Complex:

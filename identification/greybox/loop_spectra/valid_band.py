@@ -23,7 +23,8 @@ class ValidBand:
     """Where the declared model's error passes `share` of the response, and for which output.
 
     `end_hz`, with its 95 % interval from low_hz to high_hz; `complete` if the error stays below up
-    to the end of the excited band, which is then `end_hz`.
+    to the end of the excited band, which is then `end_hz`. `by_mode`: whether a mode is the error;
+    else neither the model nor a mode explains it.
     """
 
     end_hz: float
@@ -32,13 +33,15 @@ class ValidBand:
     share: float
     output: int
     complete: bool
+    by_mode: bool
 
 
 def valid_band(fit: LoopFit, share: float = 0.1) -> ValidBand:
     """Return the band up to which the declared part of the fitted plant is within `share` of it.
 
     The error is that of the diagonal of P without hold and lag, at all points of the schedule. It
-    does not depend on the records' length: their noise widens the interval only.
+    does not depend on the records' length: their noise widens the interval only. What the records
+    show beyond that, and no mode explains, counts as well.
     """
     points = [p.schedule for p in fit.points]
     low, high = float(fit.points[0].freq_hz[0]), float(fit.points[0].freq_hz[-1])
@@ -50,10 +53,24 @@ def valid_band(fit: LoopFit, share: float = 0.1) -> ValidBand:
     ends = [_end(_drawn(fit, d), points, freq_hz, share)[0] for d in draws]
     finite = np.where(np.isfinite([*ends, end]), [*ends, end], high)
     bounds = np.percentile(finite, _SURE)
+    unexplained, other = _unexplained(fit, share)
+    if unexplained < end:
+        return ValidBand(unexplained, unexplained, unexplained, share, other, False, False)
     at = end if np.isfinite(end) else high
     return ValidBand(
-        at, min(float(bounds[0]), at), max(float(bounds[1]), at), share, output, end == np.inf
+        at, min(float(bounds[0]), at), max(float(bounds[1]), at), share, output, end == np.inf, True
     )
+
+
+def _unexplained(fit: LoopFit, share: float) -> tuple[float, int]:
+    """Return the first frequency at which more than `share` of an output is unexplained."""
+    first, output = np.inf, 0
+    for point, found in zip(fit.points, fit.residuals, strict=True):
+        wrong = found.relative_error > share**2
+        for i in range(wrong.shape[1]):
+            if np.any(wrong[:, i]) and point.freq_hz[int(np.argmax(wrong[:, i]))] < first:
+                first, output = float(point.freq_hz[int(np.argmax(wrong[:, i]))]), i
+    return first, output
 
 
 def _end(

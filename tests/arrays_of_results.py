@@ -10,12 +10,16 @@ from pydantic import BaseModel
 
 
 def arrays_of(
-    value: object, name: str, seen: set[int], depth: int = 0
+    value: object, name: str, seen: dict[int, object] | None = None, depth: int = 0
 ) -> Iterator[tuple[str, Any]]:
-    """Yield all arrays in public attributes of objects of levid, and in what these hold."""
+    """Yield all arrays in public attributes of objects of levid, and in what these hold.
+
+    `seen` keeps what was looked at: the number of a deleted object may be that of another one.
+    """
+    seen = {} if seen is None else seen
     if id(value) in seen or depth > 12:
         return
-    seen.add(id(value))
+    seen[id(value)] = value
     if isinstance(value, np.ndarray):
         yield name, value
     elif isinstance(value, Mapping):

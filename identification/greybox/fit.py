@@ -62,6 +62,14 @@ class Fit:
     noise: Noise
     predictions: tuple[Prediction, ...]
     steps: int
+    uncertain: tuple[tuple[str, ...], Array] | None = None
+    """Parameters and covariance of the fit with those that are held, if these count as uncertain:
+    what depends on both has smaller errors than either."""
+
+    @property
+    def errors_of(self) -> tuple[tuple[str, ...], Array]:
+        """Parameters (F,) and covariance (F, F) from which errors of results follow."""
+        return (self.free, self.covariance) if self.uncertain is None else self.uncertain
 
     @property
     def values(self) -> Mapping[str, float]:

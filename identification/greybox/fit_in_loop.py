@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
 from .experiment.experiment_from_log import Experiment
@@ -91,11 +92,20 @@ def fit_in_loop(
         found.noise,
         tuple(predict(model, e, config.input, found.noise) for e in experiments),
         found.steps,
+        _with_held(found) if known.unidentifiable == found.unidentifiable else None,
     )
     names = {e.name for e in rest}
     compared = [e for e in held_out or experiments if e.name in names and not e.moving]
     whole = replace(found, plant=replace(found.plant, model=model))
     return fit, FittedLoop(whole, valid_band(found), _over_noise(found, compared))
+
+
+def _with_held(found: LoopFit) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:
+    """Return all declared parameters and their covariance, held ones with the declared value's."""
+    if not found.unidentifiable:
+        return None
+    names = tuple(name for name in found.names if isinstance(name, str))
+    return names, found.covariance[: len(names), : len(names)]
 
 
 def _over_noise(fit: LoopFit, experiments: Sequence[Experiment]) -> float:

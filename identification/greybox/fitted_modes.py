@@ -28,7 +28,8 @@ def fitted_modes(fit: Fit, schedule: Mapping[str, float]) -> Modes:
     """
     poles = _poles(fit.model, schedule)
     slopes = []
-    for name, error in fit.standard_errors.items():
+    names, covariance = fit.errors_of
+    for name, error in zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True):
         if not error > 0:
             slopes.append(np.zeros(len(poles), complex))
             continue
@@ -39,7 +40,7 @@ def fitted_modes(fit: Fit, schedule: Mapping[str, float]) -> Modes:
         )
         slopes.append((high - low) / (2 * _DIFFERENCE))
     J = np.array(slopes).reshape(len(slopes), len(poles))
-    scaled = correlation(fit.covariance)
+    scaled = correlation(covariance)
     along = np.real(np.conj(poles) * J) / np.abs(poles)  # d|s|
     damping = -J.real / np.abs(poles) + poles.real * along / np.abs(poles) ** 2
     frequency_se, damping_se = (

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...identification.covariance_scaling import correlation
+from ...identification.greybox.fit_in_loop import FittedLoop
 from ...identification.greybox.fitted_modes import natural_frequencies
 from ...identification.greybox.identify_greybox import GreyBox
+from ...identification.greybox.loop_spectra.sampled_response import response
 from ...identification.results import ClosedLoopPoint
 from ...identification.subspace.response_uncertainty import SURE_95
 from ..plotting.labelled_frequency_responses import CONFIDENCE, Curve, Range
@@ -68,11 +70,13 @@ def fitted_curve(grey: GreyBox, place: Place, line: LineStyle, shown: Range) -> 
     H = grey.response(place.schedule, freq_hz)
     with np.errstate(divide="ignore", invalid="ignore"):
         along = np.conj(H) / np.abs(H)
-    errors = grey.fit.standard_errors
+    names, covariance = grey.fit.errors_of
+    errors = np.sqrt(np.diag(covariance)).tolist()
     slopes = [
-        np.real(along * _slope(grey, place, freq_hz, name, error)) for name, error in errors.items()
+        np.real(along * _slope(grey, place, freq_hz, name, error))
+        for name, error in zip(names, errors, strict=True)
     ]
-    scaled = correlation(grey.fit.covariance)
+    scaled = correlation(covariance)
     J = np.array(slopes).reshape(len(slopes), *H.shape)
     variance = np.einsum("a...,ab,b...->...", J, scaled, J) if slopes else np.zeros(H.shape)
     # Figures draw CONFIDENCE deviations, which is for complex errors; this error is real.
@@ -102,6 +106,21 @@ def _frequencies(grey: GreyBox, shown: Range) -> Array:
 def fitted_curves(grey: GreyBox, places: Sequence[Place], shown: Range) -> tuple[Curve, ...]:
     """Return fitted_curve of every place, in the line style of its position."""
     return tuple(fitted_curve(grey, p, line_of(k), shown) for k, p in enumerate(places))
+
+
+def whole_curves(loop: FittedLoop, places: Sequence[Place], shown: Range) -> tuple[Curve, ...]:
+    """Return the response with the modes that the records show, dotted, for each place."""
+    point = loop.fit.points[0]
+    around = [m.freq_hz * np.geomspace(0.9, 1.1, 60) for m in loop.fit.modes]
+    freq_hz = np.union1d(np.geomspace(shown.low_hz, shown.high_hz, _POINTS), np.concatenate(around))
+    freq_hz = freq_hz[(freq_hz >= shown.low_hz) & (freq_hz <= shown.high_hz)]
+    curves = []
+    for k, place in enumerate(places):
+        at = replace(point, schedule=dict(place.schedule), freq_hz=freq_hz, records=())
+        line = replace(line_of(k), dashes=(1.0, 1.2), width=1.1, zorder=2.8)
+        label = "with the modes beside it" if k == 0 else ""
+        curves.append(Curve(label, line, freq_hz, response(loop.fit.plant, at)))
+    return tuple(curves)
 
 
 def _slope(grey: GreyBox, place: Place, freq_hz: Array, name: str, error: float) -> Complex:

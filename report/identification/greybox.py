@@ -14,7 +14,12 @@ from ...identification.greybox.validation import Validation
 from ...identification.results import ClosedLoopPoint
 from ...identification.run_identification import COMPARE_COLUMNS
 from ...identification.subspace.response_uncertainty import SURE_95, Modes
-from ..figures.compute_fitted_response import Place, fitted_curves, places_of
+from ..figures.compute_fitted_response import (
+    Place,
+    fitted_curves,
+    places_of,
+    whole_curves,
+)
 from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
 from ..plotting.html_page import Number, Text, Verdict
 from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, shown_range
@@ -44,12 +49,15 @@ class GreyBoxReport:
     signals: SignalLabels
     places: tuple[Place, ...]
     shown: Range
+    compared: Range
     fitted: tuple[Curve, ...]
     ho_kalman: tuple[Curve, ...]
     truth: tuple[Curve, ...]
     ratios: dict[str, tuple[Curve, ...]]
     modes: tuple[Modes, ...]
     """Modes of the fitted model at each place."""
+    whole: tuple[Curve, ...] = ()
+    """The response with the modes that the records show beside the model, one curve per place."""
 
     @property
     def explains(self) -> bool:
@@ -145,7 +153,15 @@ def grey_box_report(
     lowest = max((float(v.freq_hz[1]) for v in grey.validations if len(v.freq_hz) > 1), default=0.1)
     modes = tuple(fitted_modes(grey.fit, place.schedule) for place in places)
     modes_hz = [f for m in modes for f in m.frequency_hz]
-    shown = shown_range(lowest, 0.4 / grey.Ts_s, signals, modes_hz)
+    compared = shown_range(lowest, 0.4 / grey.Ts_s, signals, modes_hz)
+    shown, whole = compared, tuple[Curve, ...]()
+    if grey.loop is not None:
+        band = grey.loop.band
+        top_hz = float(grey.loop.fit.points[0].freq_hz[-1])
+        valid_to_hz = None if band.complete else band.end_hz
+        shown = Range(compared.low_hz, top_hz, valid_to_hz, beyond="model not valid")
+        if grey.loop.fit.modes:
+            whole = whole_curves(grey.loop, places, shown)
     fitted = fitted_curves(grey, places, shown)
     by_beam = {p.beam_m: p for p in points if p.trusted}
     beside = [by_beam.get(place.beam_m) for place in places]
@@ -179,7 +195,9 @@ def grey_box_report(
             )
         )
         ratios[f"{FITTED} / {HO_KALMAN}"] = _ratios(there, pale)
-    return GreyBoxReport(grey, signals, places, shown, fitted, pale, truths, ratios, modes)
+    return GreyBoxReport(
+        grey, signals, places, shown, compared, fitted, pale, truths, ratios, modes, whole
+    )
 
 
 def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
@@ -200,11 +218,11 @@ def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     if report.grey.validations:
         texts.append(f"{_explained(report)} {_whiteness(report)}".strip())
     for name in report.ratios:
-        error = error_text(largest(report.ratios[name], report.shown))
+        error = error_text(largest(report.ratios[name], report.compared))
         against = "the simulator's truth" if name.endswith("truth") else "Ho-Kalman's algorithm"
         texts.append(
-            f"From {report.shown.bottom_hz:.3g} to {report.shown.top_hz:.3g} Hz, on the diagonal "
-            f"of P, the fitted model and {against} differ by at most {error}."
+            f"From {report.compared.bottom_hz:.3g} to {report.compared.top_hz:.3g} Hz, on the "
+            f"diagonal of P, the fitted model and {against} differ by at most {error}."
         )
     return tuple(Text(text) for text in texts)
 
@@ -322,13 +340,13 @@ def grey_box_numbers(report: GreyBoxReport) -> tuple[Number, ...]:
             )
         )
     for name in report.ratios:
-        decibel, degree = largest(report.ratios[name], report.shown)
+        decibel, degree = largest(report.ratios[name], report.compared)
         bounds = report.bounds(name)
         against = "the truth" if name.endswith("truth") else HO_KALMAN
         numbers.append(
             Number(
                 error_text((decibel, degree), ", "),
-                f"fitted model against {against} at worst, up to {report.shown.top_hz:.3g} Hz",
+                f"fitted model against {against} at worst, up to {report.compared.top_hz:.3g} Hz",
                 _good(decibel <= bounds.decibel and degree <= bounds.degree),
             )
         )

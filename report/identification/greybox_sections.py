@@ -134,10 +134,12 @@ def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     beneath = " over Ho-Kalman's estimates, wide and pale" if pale else ""
     if report.truth:
         beneath += f"{', and' if beneath else ' over'} the simulator's truth, wide and grey"
+    if report.whole:
+        beneath += f"{', and' if beneath else ', '} dotted: with the modes that it lacks"
     parts: list[Part] = [
         Picture(
             "fitted-response",
-            to_svg(_bode(report, [*report.fitted, *pale])),
+            to_svg(_bode(report, [*report.fitted, *report.whole, *pale])),
             "Bode magnitude of the fitted model, every input to every output.",
             f"Magnitude of P of the fitted model{beneath}. {_of_schedule(report)}{_bands(report)}",
             "Fig. 13",
@@ -154,14 +156,14 @@ def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     for number, (name, curves) in enumerate(report.ratios.items(), start=1):
         bounds = report.bounds(name)
         against = "the simulator's truth" if name.endswith("truth") else "Ho-Kalman's estimate"
-        error = error_text(largest(curves, report.shown))
+        error = error_text(largest(curves, report.compared))
         parts.append(
             Picture(
                 f"fitted-agreement-{number}",
-                to_svg(deviation(curves, report.signals, bounds=bounds, shown=report.shown)),
+                to_svg(deviation(curves, report.signals, bounds=bounds, shown=report.compared)),
                 f"Difference of the fitted model from {against} in dB and degrees.",
-                f"The fitted model against {against}: up to {report.shown.top_hz:.3g} Hz "
-                f"{error} at most; {bounds_text(curves, bounds, report.shown)}.",
+                f"The fitted model against {against}: up to {report.compared.top_hz:.3g} Hz "
+                f"{error} at most; {bounds_text(curves, bounds, report.compared)}.",
             )
         )
     return tuple(parts)

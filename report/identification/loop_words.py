@@ -11,7 +11,7 @@ from ..plotting.html_page import Number, Table, Verdict
 from ..plotting.number_format import interval
 from ..session.session_page import listed
 
-_KINDS = {"bending": "bends the structure", "attached": "a body moves on the structure"}
+_KINDS = {"bending": "bending of the structure", "attached": "a body that moves on the structure"}
 
 
 def loop_answer(loop: FittedLoop, name: str, rigid_hz: float) -> str:
@@ -126,7 +126,11 @@ def _with_bounds(loop: FittedLoop) -> str:
 
 
 def _count(modes: tuple[Mode, ...]) -> str:
-    return "a mode that they show" if len(modes) == 1 else f"{len(modes)} modes that they show"
+    return (
+        "a mode that these records show"
+        if len(modes) == 1
+        else f"{len(modes)} modes that these records show"
+    )
 
 
 def _listed(modes: tuple[Mode, ...]) -> str:

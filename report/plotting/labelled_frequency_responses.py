@@ -77,12 +77,16 @@ class Curve:
 
 @dataclass(frozen=True)
 class Range:
-    """Frequency range of a figure, and limits of the frequencies that are evaluated, in Hz."""
+    """Frequency range of a figure, and limits of the frequencies that are evaluated, in Hz.
+
+    beyond: what a figure says of frequencies above `valid_to_hz`.
+    """
 
     low_hz: float
     high_hz: float
     valid_to_hz: float | None = None
     valid_from_hz: float | None = None
+    beyond: str = "not compared"
 
     @property
     def bottom_hz(self) -> float:
@@ -96,7 +100,7 @@ class Range:
 
 
 RIG = Range(1.0, 100.0, 64.0, 1.0)
-"""Range of the paper's figures; above about 400 rad/s its platform is not rigid."""
+"""Range of the paper's figures, and its comparisons, up to about 400 rad/s."""
 _AROUND = 10.0
 """A figure shows a decade on both sides of the resonances."""
 

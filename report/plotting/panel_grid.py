@@ -112,7 +112,7 @@ def legend_of(
     if truth:
         entries.append(entry(truth[0].label, truth[0].line))
     if shown is not None and shown.valid_to_hz is not None and shown.valid_to_hz < shown.high_hz:
-        label = f"above {shown.valid_to_hz:g} Hz (not rigid)"
+        label = f"above {shown.valid_to_hz:.3g} Hz: {shown.beyond}"
         entries.append(Patch(facecolor=colour("shade"), edgecolor=colour("edge"), label=label))
     return entries
 

@@ -16,7 +16,7 @@ def test_public_arrays_are_read_only(imported: levid.Session, flown: Any) -> Non
     assert found.results.grey is not None  # so that the fitted model's arrays are among them
     record = levid.load(flown).records[0]
     objects = {"session": imported, "record": record, "found": found, "plant": found.plant()}
-    arrays = [a for name, value in objects.items() for a in arrays_of(value, name, set())]
+    arrays = [a for name, value in objects.items() for a in arrays_of(value, name)]
     names = {name for name, _ in arrays}
     assert {"record.time_s", "plant.A"} <= names
     assert "found.results.grey.fit.covariance" in names

@@ -49,7 +49,7 @@ def test_errors_fall_and_are_explained(traced: levid.Trace) -> None:
 
 
 def test_arrays_of_the_results_are_read_only(traced: levid.Trace) -> None:
-    arrays = dict(arrays_of(traced, "traced", set()))
+    arrays = dict(arrays_of(traced, "traced"))
     assert "traced.results.errors" in arrays
     assert [name for name, array in arrays.items() if array.flags.writeable] == []
 

@@ -26,6 +26,10 @@ class StubFit:
         return self.model.values
 
     @property
+    def errors_of(self):
+        return self.free, self.covariance
+
+    @property
     def standard_errors(self):
         return dict(zip(self.free, np.sqrt(np.diag(self.covariance)), strict=True))
 

@@ -28,7 +28,7 @@ def bent() -> FittedLoop:
 def test_answer_says_up_to_where_and_what_is_beyond(bent: FittedLoop) -> None:
     answer = loop_answer(bent, "rig", RIGID_HZ)
     assert answer.startswith(f"Use the fitted model 'rig' up to {bent.band.end_hz:.3g}")
-    assert "It lacks a mode that they show: bends the structure at 95 Hz." in answer
+    assert "It lacks a mode that these records show: bending of the structure at 95 Hz." in answer
     assert f"{bent.over_noise:.2f} times the noise" in answer
     assert "explained by neither" not in answer
 
@@ -68,5 +68,5 @@ def test_table_of_modes_has_intervals_and_a_shape(bent: FittedLoop) -> None:
     ((frequency, damping, kind, shape),) = modes_table(bent, ("psi", "theta", "z")).rows
     assert frequency.startswith("95.0") or frequency.startswith("94.9")
     assert "±" in damping
-    assert kind == "bends the structure"
+    assert kind == "bending of the structure"
     assert [part.split()[0] for part in shape.split(", ")] == ["psi", "theta", "z"]

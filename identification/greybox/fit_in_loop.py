@@ -43,7 +43,7 @@ class FittedLoop:
         shares = []
         for point, found in zip(self.fit.points, self.fit.residuals, strict=True):
             line = int(np.argmin(np.abs(point.freq_hz - self.fit.worst_hz)))
-            shares.append(float(found.relative_error[line].max()))
+            shares.append(float(found.clear_error[line].max()))
         return float(np.sqrt(max(shares)))
 
 

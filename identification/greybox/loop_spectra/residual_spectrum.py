@@ -16,8 +16,9 @@ Complex = NDArray[np.complex128]
 
 HALF_WIDTH = 12
 """Lines on either side of a band's centre: 25 lines leave 23 degrees of freedom a record."""
-_BY_CHANCE = 1e-6
-"""Probability by chance from which on a model error counts; some thousand bands are looked at."""
+_WEIGHS, _CLEAR_ERROR = 1e-3, 1e-6
+"""Probability by chance below which a model error weighs, and below which it is said: some thousand
+bands are looked at, and a weight by chance costs little."""
 _CLEAR = 20.0
 """Power of the output over the noise from which it counts for the misfit."""
 
@@ -29,8 +30,9 @@ class ResidualSpectrum:
     `noise` (F, n, n): covariance of what does not depend on the excitation, at every line.
     `excess` (B,): whitened power that depends on the excitation, over the records, less what
     chance leaves; its standard deviation by chance is `excess_sd`. `relative_error` (F, n): power
-    of the model error over that of the output, where it is significant, else 0; `misfit` sums up
-    both over all bands: (model error power, bands) relative to the output.
+    of the model error over that of the output, where it is significant, else 0, as it weighs;
+    `clear_error` (F, n): the same where it is beyond doubt. `misfit` sums up both over all bands:
+    (model error power, bands) relative to the output.
     """
 
     freq_hz: Array
@@ -38,6 +40,7 @@ class ResidualSpectrum:
     excess: Array
     excess_sd: float
     relative_error: Array
+    clear_error: Array
     misfit: tuple[float, int]
 
 
@@ -97,11 +100,13 @@ def split_residual(
     level = at_lines.mean(axis=1)
     by_chance = np.einsum("bl,bli->bi", chance, at_lines)
     # The power of k complex Gaussian numbers has a gamma distribution.
-    limit = gamma.isf(_BY_CHANCE, max(unknowns, 1)) / max(unknowns, 1)
-    significant = error > limit * by_chance
-    error = error - by_chance
+    limits = np.asarray(gamma.isf((_WEIGHS, _CLEAR_ERROR), max(unknowns, 1))) / max(unknowns, 1)
+    total, error = error, error - by_chance
     moved = output > 0.0
-    share = np.divide(error, output, out=np.zeros_like(error), where=moved & significant)
+    weighs, said = (
+        np.divide(error, output, out=np.zeros_like(error), where=moved & (total > k * by_chance))
+        for k in limits
+    )
     clear = output > _CLEAR * freedom * level
     relative = np.divide(error, output, out=np.zeros_like(error), where=clear)
     return ResidualSpectrum(
@@ -109,7 +114,8 @@ def split_residual(
         np.asarray(noise),
         power - n * unknowns,
         float(np.sqrt(max(n * unknowns, 1))),
-        np.array([np.interp(lines, centres, x) for x in _widened(share).T]).T,
+        np.array([np.interp(lines, centres, x) for x in _widened(weighs).T]).T,
+        np.array([np.interp(lines, centres, x) for x in said.T]).T,
         (float(relative[clear].sum()), int(clear.sum())),
     )
 

@@ -66,7 +66,7 @@ def _unexplained(fit: LoopFit, share: float) -> tuple[float, int]:
     """Return the first frequency at which more than `share` of an output is unexplained."""
     first, output = np.inf, 0
     for point, found in zip(fit.points, fit.residuals, strict=True):
-        wrong = found.relative_error > share**2
+        wrong = found.clear_error > share**2
         for i in range(wrong.shape[1]):
             if np.any(wrong[:, i]) and point.freq_hz[int(np.argmax(wrong[:, i]))] < first:
                 first, output = float(point.freq_hz[int(np.argmax(wrong[:, i]))]), i

@@ -42,9 +42,9 @@ def test_no_tick_over_an_error_that_is_not_noise(bent: FittedLoop) -> None:
 def test_a_residual_that_no_mode_explains_ends_the_band(bent: FittedLoop) -> None:
     residuals = []
     for point, found in zip(bent.fit.points, bent.fit.residuals, strict=True):
-        error = found.relative_error.copy()
+        error = found.clear_error.copy()
         error[point.freq_hz > 5.0, 2] = 0.2**2
-        residuals.append(replace(found, relative_error=error))
+        residuals.append(replace(found, clear_error=error))
     fit = replace(bent.fit, residuals=tuple(residuals), worst=50.0, worst_hz=5.5)
     band = valid_band(fit)
     assert not band.by_mode
@@ -56,9 +56,9 @@ def test_a_residual_that_no_mode_explains_ends_the_band(bent: FittedLoop) -> Non
 
 def test_a_nonlinear_part_is_said_with_its_frequency_and_size(bent: FittedLoop) -> None:
     first = bent.fit.residuals[0]
-    error = first.relative_error.copy()
+    error = first.clear_error.copy()
     error[np.abs(bent.fit.points[0].freq_hz - 95.0) < 1.0, 1] = 0.05**2
-    residuals = (replace(first, relative_error=error), *bent.fit.residuals[1:])
+    residuals = (replace(first, clear_error=error), *bent.fit.residuals[1:])
     fit = replace(bent.fit, residuals=residuals, worst=12.0, worst_hz=95.0)
     answer = loop_answer(replace(bent, fit=fit), "rig", RIGID_HZ)
     assert "At 95 Hz 5 % of the response is explained by neither" in answer

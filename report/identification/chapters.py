@@ -371,11 +371,18 @@ def _after_grey_box(
 ) -> list[tuple[str, str]]:
     fit, steps = report.grey.fit, list[tuple[str, str]]()
     least, tests = least_chance(report)
-    worst = report.worst
-    white = (
-        not least * tests < NOT_WHITE if report.grey.loop is None else report.grey.loop.fit.white
-    )
-    if not white or (worst is not None and worst.over_noise > NOISE_MOST):
+    worst, loop = report.worst, report.grey.loop
+    if loop is not None and loop.fit.modes:
+        steps.append(
+            (
+                f"Keep motion and control below {loop.band.end_hz:.3g} Hz. Beyond it, use the "
+                f"response with the modes that {out_dir / 'result.json'} lists (grey_box, loop).",
+                "",
+            )
+        )
+    white = not least * tests < NOT_WHITE if loop is None else loop.fit.white
+    lacks = not white or (worst is not None and worst.over_noise > NOISE_MOST)
+    if lacks and not steps:
         logs, model, out = commands.logs, out_dir / "model.yaml", out_dir / "trace"
         trace = command_line("trace", logs=logs, model=model, out=out) if logs else ""
         steps.append(("Find the effect that the model lacks.", trace))

@@ -168,6 +168,7 @@ def flights(
                     {"x_b": np.full(rows, x_b_m), "v_b": np.zeros(rows), "a_b": np.zeros(rows)},
                     frozenset({"a_b"}), False, 1, loop, True, hold="zoh",
                     correlations=(correlation(COILS.T @ COILS), correlation(T @ T.T)),
+                    spans={"x_b": 0.2, "v_b": 1.0, "a_b": 1.0},
                 )
             )  # fmt: skip
     return found

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
+from ..records.record import IdentificationError
 from .experiment.experiment_from_log import Experiment
 from .fit import Fit
 from .free_parameters import free_parameters
@@ -110,9 +111,13 @@ def _with_held(found: LoopFit) -> tuple[tuple[str, ...], NDArray[np.float64]] | 
 
 def _over_noise(fit: LoopFit, experiments: Sequence[Experiment]) -> float:
     """Return the largest error of the fitted plant over the noise, of all records and outputs."""
-    top_hz = float(fit.points[0].freq_hz[-1])
+    freq_hz = fit.points[0].freq_hz
+    try:
+        points = lines_by_point(experiments, (float(freq_hz[0]), float(freq_hz[-1])))
+    except IdentificationError:
+        points = fit.points  # a quarter of a record has too few lines in a narrow band
     ratios = []
-    for point in lines_by_point(experiments, (0.0, top_hz)):
+    for point in points:
         noise = noise_spectrum(fit.plant, point, fit.noise)
         expected = np.einsum("fii->i", noise).real
         for E in without_transients(fit.plant, point, [noise] * len(point.records)):

@@ -41,7 +41,7 @@ def loop_answer(loop: FittedLoop, name: str, rigid_hz: float) -> str:
             found += f" It lacks {_count(fit.modes)}: {_listed(fit.modes)}. With "
             found += f"{'it' if len(fit.modes) == 1 else 'them'} {times}."
         else:
-            found += f" There {times}."
+            found += f" T{times[1:]}."
     return f"{found}{_left(loop)}"
 
 
@@ -114,8 +114,8 @@ def _left(loop: FittedLoop) -> str:
         return ""
     share = 100.0 * loop.unexplained
     return (
-        f" At {loop.fit.worst_hz:.3g} Hz {share:.2g} % of the response is explained by neither: "
-        "the plant is not linear there, or differs between the records."
+        f" At {loop.fit.worst_hz:.3g} Hz {share:.2g} % of the response comes neither from the "
+        "model nor from a mode: the plant is not linear there, or differs between the records."
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,8 @@ class Experiment:
     """What the log states otherwise than the model, such as units."""
     hold: Hold | None = None
     correlations: tuple[Array, Array] | None = None
+    spans: Mapping[str, float] = field(default_factory=dict)
+    """Range of each scheduling variable in the model."""
     by_coil: bool = False
     """Whether coils are excited one by one, and not by the wrench alone."""
 
@@ -156,7 +158,9 @@ def experiment_from_log(log: Log, model: ModelConfig) -> Experiment:
     )
     rates = frozenset(name for name, variable in model.scheduling.items() if variable.derivative)
     remarks = (*base.remarks, *resampling_remarks)
-    return replace(base, schedule=schedule, rates=rates, moving=moving, remarks=remarks)
+    return replace(
+        base, schedule=schedule, rates=rates, moving=moving, remarks=remarks, spans=spans
+    )
 
 
 def _imported(log: Log, model: ModelConfig) -> Experiment:

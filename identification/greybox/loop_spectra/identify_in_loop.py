@@ -23,7 +23,7 @@ from .measured_response import last_significant, measured_responses
 from .mode import Mode
 from .output_error_fit import Factor, OutputErrorFit, Weighted, without_transients
 from .residual_spectrum import ResidualSpectrum, split_residual
-from .sampled_response import LinearPlant, ParameterName
+from .sampled_response import LinearPlant, ParameterName, held
 from .spectral_lines import PointLines, lines_by_point
 from .starting_modes import starting_modes
 
@@ -143,7 +143,7 @@ class _Search:
     def run(self) -> LoopFit:
         self._settle()
         self._split()
-        held = self._hold()
+        unidentifiable = self._hold()
         if self._worst()[0] >= NOT_WHITE:
             self._weigh_by_frequency()
             self._fit(3, self.step)
@@ -157,9 +157,16 @@ class _Search:
         self._split()
         assert self.noise is not None
         return LoopFit(
-            self.plant, factor.names, covariance, tuple(held), self.points, self.residuals,
-            *self._worst(), self.noise, self.steps,
-        )  # fmt: skip
+            self.plant,
+            factor.names,
+            covariance,
+            tuple(unidentifiable),
+            self.points,
+            self.residuals,
+            *self._worst(),
+            self.noise,
+            self.steps,
+        )
 
     def _settle(self) -> None:
         """Fit from a start that may be far off, with weights that follow the misfit down."""
@@ -333,13 +340,11 @@ class _Search:
         at = self.plant.model.at(self.points[0].schedule)
         rigid = np.abs(np.linalg.eigvals(state_space(at).A)) / (2.0 * np.pi)
         start_hz = _RIGID_TIMES * float(rigid.max())
-        Ts_s, delay_s = self.points[0].Ts_s, self.points[0].delay_s + at.delay_s
+        Ts_s, delay_s = self.points[0].Ts_s, self.points[0].delay_s
         plain = []
         for r in responses:
             band = r.freq_hz <= top_hz
-            s = 2j * np.pi * r.freq_hz[band]
-            held = -np.expm1(-s * Ts_s) / (s * Ts_s) * np.exp(-s * delay_s) / (1 + s * at.lag_s)
-            by = 1.0 / held[:, None, None]
+            by = 1.0 / held(at, r.freq_hz[band], Ts_s, delay_s)[1][:, None, None]
             covariance = r.covariance[band] * np.abs(by)[:, :, :, None, None] ** 2
             plain.append(
                 replace(r, freq_hz=r.freq_hz[band], H=r.H[band] * by, covariance=covariance)

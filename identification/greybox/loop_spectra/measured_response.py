@@ -13,6 +13,7 @@ from ...nonparametric.joint_input_output import plant_from_joint_response
 from ...nonparametric.local_polynomial import local_polynomial
 from ...records.record import IdentificationError
 from ..experiment.experiment_from_log import Experiment
+from .spectral_lines import by_point
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -33,14 +34,9 @@ def measured_responses(
     Both the outputs' and the inputs' responses to the excitation are measured, so feedback does not
     bias P: by local polynomials for noise, line by line for periodic excitation.
     """
-    groups: dict[tuple[float | int, ...], list[Experiment]] = {}
-    for e in experiments:
-        if e.loop is None or not np.any(np.ptp(e.loop.v, axis=0)):
-            continue
-        point = (float(np.round(x.mean(), 4)) for n, x in sorted(e.schedule.items()))
-        groups.setdefault((*point, len(e.y)), []).append(e)
+    excited = [e for e in experiments if e.loop is not None and np.any(np.ptp(e.loop.v, axis=0))]
     found = []
-    for group in groups.values():
+    for group in by_point(excited):
         try:
             found.append(_measured(group, top_hz))
         except IdentificationError:

@@ -205,8 +205,8 @@ class OutputErrorFit:
     ) -> LinearPlant:
         """Return the plant after a step in SI units.
 
-        A parameter goes at most most of the way to a bound of the model file: on a bound some are
-        told from others no more, as a lag of 0 from a delay.
+        No parameter reaches a bound of the model file, it only comes nearer: a lag of 0, its bound,
+        could no longer be told from a delay.
         """
         p, step = self.parameters, step.copy()
         for k, name in enumerate(names):

@@ -113,7 +113,7 @@ def _held_sensitivities(
     freq_hz: Array,
     point: PointLines,
 ) -> Complex:
-    s, g = _held(at, freq_hz, point.Ts_s, point.delay_s)
+    s, g = held(at, freq_hz, point.Ts_s, point.delay_s)
     X, Q = _continuous(at, modes, s)
     QB = Q @ at.B
     # A changed entry of row a and column b changes P by - g Q[:, a] (Q B)[b, :] s^power.
@@ -138,11 +138,11 @@ def _held_sensitivities(
 def _held_response(
     at: SecondOrder, modes: Sequence[Mode], freq_hz: Array, Ts_s: float, delay_s: float
 ) -> Complex:
-    s, g = _held(at, freq_hz, Ts_s, delay_s)
+    s, g = held(at, freq_hz, Ts_s, delay_s)
     return np.asarray(g[:, None, None] * _continuous(at, modes, s)[0])
 
 
-def _held(at: SecondOrder, freq_hz: Array, Ts_s: float, delay_s: float) -> tuple[Complex, Complex]:
+def held(at: SecondOrder, freq_hz: Array, Ts_s: float, delay_s: float) -> tuple[Complex, Complex]:
     """Return s (F,), and hold times delay times lag (F,)."""
     s = np.asarray(2j * np.pi * freq_hz)
     hold = -np.expm1(-s * Ts_s) / (s * Ts_s)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from ...records.record import IdentificationError
 from ..experiment.experiment_from_log import Experiment
 
 Array = NDArray[np.float64]
@@ -19,7 +20,9 @@ FIRST_LINE = 3
 _SMOOTHED_LINES = 41
 _EXCITED = 1e-8
 """Share of the strongest line's power from which a line is excited; rounding leaves 1e-20."""
-_SAME_POINT = 1e-3
+LEAST_LINES = 25
+"""Lines of the bands in which noise and model error are told apart."""
+SAME_POINT = 1e-3
 """Share of a scheduling variable's range within which records count as taken at one point."""
 
 
@@ -75,33 +78,61 @@ def lines_by_point(
     """Return the lines in a band of records whose schedule rests, grouped by point and length.
 
     Every record has a known loop. No window is applied: the fit eliminates what the begin and the
-    end of a record leave (`transients`), so there is no leakage.
+    end of a record leave (`transients`), so there is no leakage. Records with too few lines are
+    left out.
+
+    Raises IdentificationError if no record with an excitation has enough lines in the band.
     """
-    found: dict[tuple[float | int, ...], list[Experiment]] = {}
-    scale = _spans(experiments)
-    for e in experiments:
-        point = (
-            round(float(e.schedule[name].mean()) / (_SAME_POINT * scale[name]))
-            for name in sorted(e.schedule)
-            if name not in e.rates
+    low_hz, high_hz = band_hz
+    groups = []
+    for group in by_point(experiments):
+        lines = _lines(group[0], band_hz)
+        if len(lines) >= LEAST_LINES:
+            groups.append(_point(group, lines))
+    if not any(r.excited for g in groups for r in g.records):
+        longest = max(len(e.y) * e.Ts_s for e in experiments)
+        raise IdentificationError(
+            f"expected at least {LEAST_LINES} lines from {low_hz:g} to {high_hz:g} Hz in a record "
+            f"with an excitation; the longest record, of {longest:g} s, has one line each "
+            f"{1.0 / longest:.3g} Hz, up to {0.5 / experiments[0].Ts_s:g} Hz. Choose a wider band "
+            "(--band), or record longer"
         )
-        found.setdefault((*point, len(e.y), e.Ts_s), []).append(e)
-    return tuple(_point(group, band_hz) for group in found.values())
+    return tuple(groups)
 
 
-def _spans(experiments: Sequence[Experiment]) -> Mapping[str, float]:
-    names = experiments[0].schedule
-    means = {n: np.array([e.schedule[n].mean() for e in experiments]) for n in names}
-    return {n: float(np.ptp(x)) or 1.0 for n, x in means.items()}
+def by_point(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
+    """Return records at one point of the schedule, of one length and rate, together."""
+    groups: list[list[Experiment]] = []
+    for e in experiments:
+        same = next((g for g in groups if _together(g[0], e)), None)
+        if same is None:
+            groups.append([e])
+        else:
+            same.append(e)
+    return groups
 
 
-def _point(experiments: Sequence[Experiment], band_hz: tuple[float, float]) -> PointLines:
+def _together(one: Experiment, other: Experiment) -> bool:
+    if (len(one.y), one.Ts_s) != (len(other.y), other.Ts_s):
+        return False
+    return all(
+        abs(one.schedule[name].mean() - other.schedule[name].mean()) <= SAME_POINT * one.spans[name]
+        for name in one.schedule
+        if name not in one.rates
+    )
+
+
+def _lines(e: Experiment, band_hz: tuple[float, float]) -> NDArray[np.int_]:
+    freq_hz = fft.rfftfreq(len(e.y), e.Ts_s)
+    lines = np.arange(FIRST_LINE, len(freq_hz))
+    inside = (freq_hz[lines] >= band_hz[0]) & (freq_hz[lines] <= band_hz[1])
+    return np.asarray(lines[inside])
+
+
+def _point(experiments: Sequence[Experiment], lines: NDArray[np.int_]) -> PointLines:
     first = experiments[0]
     assert first.loop is not None
-    rows, Ts_s = len(first.y), first.Ts_s
-    freq_hz = fft.rfftfreq(rows, Ts_s)
-    lines = np.arange(FIRST_LINE, len(freq_hz))
-    lines = lines[(freq_hz[lines] >= band_hz[0]) & (freq_hz[lines] <= band_hz[1])]
+    freq_hz = fft.rfftfreq(len(first.y), first.Ts_s)
     schedule = {
         name: 0.0
         if name in first.rates
@@ -111,8 +142,8 @@ def _point(experiments: Sequence[Experiment], band_hz: tuple[float, float]) -> P
     return PointLines(
         schedule,
         freq_hz[lines],
-        Ts_s,
-        first.delay_cycles * Ts_s,
+        first.Ts_s,
+        first.delay_cycles * first.Ts_s,
         first.loop.controller.response(freq_hz[lines]),
         tuple(_record(e, lines) for e in experiments),
     )

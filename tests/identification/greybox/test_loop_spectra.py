@@ -41,6 +41,7 @@ from levid.identification.greybox.loop_spectra.sampled_response import (
 from levid.identification.greybox.loop_spectra.spectral_lines import PointLines, lines_by_point
 from levid.identification.greybox.loop_spectra.starting_modes import starting_modes
 from levid.identification.nonparametric.frequency_response import ResponseEstimate
+from levid.identification.records.record import IdentificationError
 
 Complex = NDArray[np.complex128]
 
@@ -255,3 +256,20 @@ def test_attached_and_bending_mode_have_the_same_resonance_in_the_response(
         for p in (plant, other)
     ]
     assert peaks[0] == pytest.approx(peaks[1], rel=2e-3)
+
+
+def test_records_at_one_position_up_to_jitter_are_one_point() -> None:
+    records = flights(Platform(), 7, duration_s=1.0, beams_m=(0.0333,))
+    jitter = (-1e-8, 0.0, 1e-8)
+    moved = [
+        replace(e, schedule={**e.schedule, "x_b": e.schedule["x_b"] + x})
+        for e, x in zip(records, jitter, strict=True)
+    ]
+    assert len(lines_by_point(moved, (0.0, 400.0))) == 1
+    assert len(lines_by_point([*moved, *flights(Platform(), 7, duration_s=1.0)], (0.0, 400.0))) == 4
+
+
+def test_a_band_without_lines_is_refused_with_a_remedy() -> None:
+    records = flights(Platform(), 7, duration_s=1.0, beams_m=(0.0,))
+    with pytest.raises(IdentificationError, match="one line each 1 Hz, up to 500 Hz"):
+        lines_by_point(records, (100.0, 110.0))

@@ -30,7 +30,7 @@ def test_answer_says_up_to_where_and_what_is_beyond(bent: FittedLoop) -> None:
     assert answer.startswith(f"Use the fitted model 'rig' up to {bent.band.end_hz:.3g}")
     assert "It lacks a mode that these records show: bending of the structure at 95 Hz." in answer
     assert f"{bent.over_noise:.2f} times the noise" in answer
-    assert "explained by neither" not in answer
+    assert "comes neither from" not in answer
 
 
 def test_no_tick_over_an_error_that_is_not_noise(bent: FittedLoop) -> None:
@@ -61,7 +61,7 @@ def test_a_nonlinear_part_is_said_with_its_frequency_and_size(bent: FittedLoop) 
     residuals = (replace(first, clear_error=error), *bent.fit.residuals[1:])
     fit = replace(bent.fit, residuals=residuals, worst=12.0, worst_hz=95.0)
     answer = loop_answer(replace(bent, fit=fit), "rig", RIGID_HZ)
-    assert "At 95 Hz 5 % of the response is explained by neither" in answer
+    assert "At 95 Hz 5 % of the response comes neither from the model nor from a mode" in answer
 
 
 def test_table_of_modes_has_intervals_and_a_shape(bent: FittedLoop) -> None:

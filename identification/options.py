@@ -48,7 +48,8 @@ class Options:
             )
         if self.band_hz is not None and not 0.0 <= self.band_hz[0] < self.band_hz[1]:
             raise IdentificationError(
-                f"band_hz: expected two frequencies, the lower one first, found {self.band_hz}"
+                "band: expected two frequencies in Hz, the lower one first, found "
+                f"{self.band_hz[0]:g} and {self.band_hz[1]:g}"
             )
         for name in ("impulse_s", "segment_s"):
             value = getattr(self, name)

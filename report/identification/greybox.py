@@ -244,7 +244,8 @@ def grey_box_answer(report: GreyBoxReport, beside: BesideBlackBox | None = None)
     error = "" if worst is None else f" ({worst.over_noise:.2f} times the noise)"
     bounds = "".join(f" {text}" for text in at_bound_sentences(report.grey))
     if report.grey.loop is not None and not report.grey.explains_nothing:
-        return f"{loop_answer(report.grey.loop, name, report.rigid_hz)}{bounds}{natural}"
+        answer = loop_answer(report.grey.loop, name, report.rigid_hz, NOISE_MOST)
+        return f"{answer}{bounds}{natural}"
     if report.grey.doubts:
         return f"Do not use a model of these records: {'; '.join(report.grey.doubts)}."
     if report.explains:

@@ -14,12 +14,13 @@ from ..session.session_page import listed
 _KINDS = {"bending": "bending of the structure", "attached": "a body that moves on the structure"}
 
 
-def loop_answer(loop: FittedLoop, name: str, rigid_hz: float) -> str:
+def loop_answer(loop: FittedLoop, name: str, rigid_hz: float, noise_most: float) -> str:
     """Return the answer: up to where to use the fitted model, and which modes it lacks.
 
-    rigid_hz: its highest natural frequency, which a useful model covers.
+    rigid_hz: its highest natural frequency, which a useful model covers. noise_most: up to how
+    many times the noise a simulation error counts as explained.
     """
-    band, fit = loop.band, loop.fit
+    band, modes = loop.band, loop.fit.modes
     share = f"{100.0 * band.share:g} %"
     times = f"the simulation error is {loop.over_noise:.2f} times the noise"
     if band.end_hz < rigid_hz:
@@ -28,21 +29,23 @@ def loop_answer(loop: FittedLoop, name: str, rigid_hz: float) -> str:
             f"on, more than {share} of the response is not its own, and {times}."
         )
     if band.complete:
-        found = (
-            f"Use the fitted model '{name}': up to {band.end_hz:.3g} Hz, as far as these records "
-            f"excite, its error is below {share} of the response, and {times}."
+        valid = (
+            f"up to {band.end_hz:.3g} Hz, as far as these records excite: its error is below "
+            f"{share} of the response"
         )
     else:
-        found = (
-            f"Use the fitted model '{name}' up to {_with_bounds(loop)} Hz, where its error passes "
-            f"{share} of the response."
+        valid = f"up to {_with_bounds(loop)} Hz, where its error passes {share} of the response"
+    lacks = f" It lacks {_count(modes)}: {_listed(modes)}." if modes else ""
+    if modes:
+        times = f"with {'it' if len(modes) == 1 else 'them'} {times}"
+    if loop.over_noise > noise_most:
+        return (
+            f"The fitted model '{name}' does not explain these records down to the noise. It is "
+            f"valid {valid}.{lacks} {times[0].upper()}{times[1:]}.{_left(loop)}"
         )
-        if fit.modes:
-            found += f" It lacks {_count(fit.modes)}: {_listed(fit.modes)}. With "
-            found += f"{'it' if len(fit.modes) == 1 else 'them'} {times}."
-        else:
-            found += f" T{times[1:]}."
-    return f"{found}{_left(loop)}"
+    return (
+        f"Use the fitted model '{name}' {valid}.{lacks} {times[0].upper()}{times[1:]}.{_left(loop)}"
+    )
 
 
 def loop_numbers(loop: FittedLoop, noise_most: float) -> tuple[Number, ...]:

@@ -26,7 +26,7 @@ def bent() -> FittedLoop:
 
 
 def test_answer_says_up_to_where_and_what_is_beyond(bent: FittedLoop) -> None:
-    answer = loop_answer(bent, "rig", RIGID_HZ)
+    answer = loop_answer(bent, "rig", RIGID_HZ, NOISE_MOST)
     assert answer.startswith(f"Use the fitted model 'rig' up to {bent.band.end_hz:.3g}")
     assert "It lacks a mode that these records show: bending of the structure at 95 Hz." in answer
     assert f"{bent.over_noise:.2f} times the noise" in answer
@@ -37,6 +37,10 @@ def test_no_tick_over_an_error_that_is_not_noise(bent: FittedLoop) -> None:
     assert [n.verdict for n in loop_numbers(bent, NOISE_MOST)] == ["good", "good"]
     worse = replace(bent, over_noise=1.6)
     assert [n.verdict for n in loop_numbers(worse, NOISE_MOST)] == ["none", "bad"]
+    answer = loop_answer(worse, "rig", RIGID_HZ, NOISE_MOST)
+    assert answer.startswith("The fitted model 'rig' does not explain these records down to the ")
+    assert f"It is valid up to {bent.band.end_hz:.3g}" in answer
+    assert "With it the simulation error is 1.60 times the noise." in answer
 
 
 def test_a_residual_that_no_mode_explains_ends_the_band(bent: FittedLoop) -> None:
@@ -50,7 +54,7 @@ def test_a_residual_that_no_mode_explains_ends_the_band(bent: FittedLoop) -> Non
     assert not band.by_mode
     assert band.output == 2
     assert band.end_hz == pytest.approx(5.0, abs=0.5)
-    answer = loop_answer(replace(bent, fit=fit, band=band), "rig", RIGID_HZ)
+    answer = loop_answer(replace(bent, fit=fit, band=band), "rig", RIGID_HZ, NOISE_MOST)
     assert answer.startswith("The fitted model 'rig' does not explain these records: from 5")
 
 
@@ -60,7 +64,7 @@ def test_a_nonlinear_part_is_said_with_its_frequency_and_size(bent: FittedLoop) 
     error[np.abs(bent.fit.points[0].freq_hz - 95.0) < 1.0, 1] = 0.05**2
     residuals = (replace(first, clear_error=error), *bent.fit.residuals[1:])
     fit = replace(bent.fit, residuals=residuals, worst=12.0, worst_hz=95.0)
-    answer = loop_answer(replace(bent, fit=fit), "rig", RIGID_HZ)
+    answer = loop_answer(replace(bent, fit=fit), "rig", RIGID_HZ, NOISE_MOST)
     assert "At 95 Hz 5 % of the response comes neither from the model nor from a mode" in answer
 
 

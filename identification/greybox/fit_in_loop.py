@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
+from ..loop_spectra.measured_noise import noise_spectrum
+from ..loop_spectra.output_errors import without_transients
 from ..records.record import IdentificationError
 from .experiment.experiment_from_log import Experiment
 from .fit import Fit
 from .free_parameters import free_parameters
-from .loop_spectra.identify_in_loop import LoopFit, identify_in_loop
-from .loop_spectra.measured_noise import noise_spectrum
-from .loop_spectra.output_error_fit import without_transients
-from .loop_spectra.spectral_lines import lines_by_point
-from .loop_spectra.valid_band import ValidBand, valid_band
+from .modes.identify_in_loop import LoopFit, identify_in_loop
+from .modes.lines_by_point import lines_by_point
+from .modes.valid_band import ValidBand, valid_band
 from .moving_records import determined
 from .prediction.prediction_errors import predict
 

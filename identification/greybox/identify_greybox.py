@@ -110,7 +110,7 @@ def identify_grey_box(
     The rest begins where motion is left behind it (`held_out_rows`).
 
     Records of the rig that excite a loop at rest are fitted by their spectra, in `band_hz` if
-    given, with the modes that the declared model lacks (`loop_spectra`).
+    given, with the modes that the declared model lacks (`modes`).
 
     Imported records with prediction errors that are not white have something that the model lacks.
     Their likelihood then weighs frequencies by a noise that they do not have, and its intervals are

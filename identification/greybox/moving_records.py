@@ -15,7 +15,7 @@ from .experiment.experiment_from_log import Experiment
 from .fit import Linearised, linearised
 from .free_parameters import free_parameters
 from .identifiability import Unidentifiable, find_unidentifiable
-from .loop_spectra.identify_in_loop import LoopFit
+from .modes.identify_in_loop import LoopFit
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,6 @@ from ...identification.covariance_scaling import correlation
 from ...identification.greybox.fit_in_loop import FittedLoop
 from ...identification.greybox.fitted_modes import natural_frequencies
 from ...identification.greybox.identify_greybox import GreyBox
-from ...identification.greybox.loop_spectra.sampled_response import response
 from ...identification.results import ClosedLoopPoint
 from ...identification.subspace.response_uncertainty import SURE_95
 from ..plotting.labelled_frequency_responses import CONFIDENCE, Curve, Range
@@ -119,7 +118,7 @@ def whole_curves(loop: FittedLoop, places: Sequence[Place], shown: Range) -> tup
         at = replace(point, schedule=dict(place.schedule), freq_hz=freq_hz, records=())
         line = replace(line_of(k), dashes=(1.0, 1.2), width=1.1, zorder=2.8)
         label = "with the modes beside it" if k == 0 else ""
-        curves.append(Curve(label, line, freq_hz, response(loop.fit.plant, at)))
+        curves.append(Curve(label, line, freq_hz, loop.fit.plant.response(at)))
     return tuple(curves)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...identification.greybox.fit_in_loop import FittedLoop
-from ...identification.greybox.loop_spectra.identify_in_loop import NOT_WHITE
-from ...identification.greybox.loop_spectra.mode import Mode
+from ...identification.greybox.modes.identify_in_loop import NOT_WHITE
+from ...identification.greybox.modes.mode import Mode
 from ..plotting.html_page import Number, Table, Verdict
 from ..plotting.number_format import interval
 from ..session.session_page import listed

@@ -26,20 +26,20 @@ from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.declared_model_from_config import declared_model
 from levid.identification.greybox.fit_in_loop import FittedLoop, fit_in_loop
-from levid.identification.greybox.loop_spectra.mode import Mode
-from levid.identification.greybox.loop_spectra.output_error_fit import (
+from levid.identification.greybox.modes.lines_by_point import lines_by_point
+from levid.identification.greybox.modes.mode import Mode
+from levid.identification.greybox.modes.sampled_response import (
+    LinearPlant,
+    continuous_response,
+    sensitivities,
+)
+from levid.identification.greybox.modes.starting_modes import starting_modes
+from levid.identification.loop_spectra.output_errors import (
     residual,
     without_transients,
 )
-from levid.identification.greybox.loop_spectra.residual_spectrum import split_residual
-from levid.identification.greybox.loop_spectra.sampled_response import (
-    LinearPlant,
-    continuous_response,
-    response,
-    sensitivities,
-)
-from levid.identification.greybox.loop_spectra.spectral_lines import PointLines, lines_by_point
-from levid.identification.greybox.loop_spectra.starting_modes import starting_modes
+from levid.identification.loop_spectra.residual_spectrum import split_residual
+from levid.identification.loop_spectra.spectral_lines import PointLines
 from levid.identification.nonparametric.frequency_response import ResponseEstimate
 from levid.identification.records.record import IdentificationError
 
@@ -107,7 +107,7 @@ def test_response_is_that_of_the_sampled_plant_with_its_mode(
     inner = np.linalg.solve(z * np.eye(n + 3) - step[: n + 3, : n + 3], inputs)
     true = T @ C @ inner[:, :n] / z  # one cycle late
 
-    found = response(LinearPlant(declared_model(config), as_modes(platform)), point)
+    found = LinearPlant(declared_model(config), as_modes(platform)).response(point)
 
     size = np.abs(true).max(axis=(1, 2), keepdims=True)
     assert np.max(np.abs(found - true) / size) < 1e-4
@@ -124,7 +124,7 @@ def test_sensitivities_are_differences_of_the_response(
     found = sensitivities(plant, point, names, np.array([1.4, 4, 6, 3e-4, 1e-4, *[1.0] * 5]))
     for k, name in enumerate(names):
         step = np.array([steps[k]])
-        high, low = (response(plant.moved([name], x), point) for x in (step, -step))
+        high, low = (plant.moved([name], x).response(point) for x in (step, -step))
         slope = (high - low) / (2 * steps[k])
         # The images beyond the second are left out: 2 % of a lag's effect at 0.4 of the rate.
         assert np.linalg.norm(found[k] - slope) < 0.02 * np.linalg.norm(slope), name

@@ -11,7 +11,7 @@ from levid.benchmarks.identification.bending_platform import BendingMode, Platfo
 from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.fit_in_loop import FittedLoop, fit_in_loop
-from levid.identification.greybox.loop_spectra.valid_band import valid_band
+from levid.identification.greybox.modes.valid_band import valid_band
 from levid.report.identification.loop_words import loop_answer, loop_numbers, modes_table
 
 RIGID_HZ, NOISE_MOST = 8.9, 1.5

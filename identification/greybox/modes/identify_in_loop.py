@@ -12,19 +12,21 @@ from threadpoolctl import threadpool_limits
 
 from ....config.model import ModelConfig
 from ....model.second_order import state_space
+from ...loop_spectra.measured_noise import measured_noise, noise_spectrum
+from ...loop_spectra.measured_response import last_significant
+from ...loop_spectra.output_errors import Factor, Weighted, without_transients
+from ...loop_spectra.residual_spectrum import ResidualSpectrum, split_residual
+from ...loop_spectra.spectral_lines import PointLines
 from ...nonparametric.frequency_response import ResponseEstimate
 from ..declared_model_from_config import declared_model
 from ..experiment.experiment_from_log import Experiment
 from ..free_parameters import FreeParameters, free_parameters
 from ..identifiability import Unidentifiable, find_unidentifiable
 from ..prediction.noise_model import Noise
-from .measured_noise import measured_noise, noise_spectrum
-from .measured_response import last_significant, measured_responses
+from .fit_with_modes import FitWithModes, ParameterSlopes
+from .lines_by_point import lines_by_point, measured_responses
 from .mode import Mode
-from .output_error_fit import Factor, OutputErrorFit, Weighted, without_transients
-from .residual_spectrum import ResidualSpectrum, split_residual
 from .sampled_response import LinearPlant, ParameterName, held
-from .spectral_lines import PointLines, lines_by_point
 from .starting_modes import starting_modes
 
 Array = NDArray[np.float64]
@@ -153,12 +155,13 @@ class _Search:
         self._weigh_by_frequency()
         factor = self._fit(3, 1)
         inverse = np.linalg.inv(factor.R)
-        covariance = factor.scales[:, None] * (inverse @ inverse.T) * factor.scales
+        scales = factor.slopes.scales
+        covariance = scales[:, None] * (inverse @ inverse.T) * scales
         self._split()
         assert self.noise is not None
         return LoopFit(
             self.plant,
-            factor.names,
+            factor.slopes.names,
             covariance,
             tuple(unidentifiable),
             self.points,
@@ -191,7 +194,8 @@ class _Search:
             return split_residual(point, without_transients(self.plant, point, known), shape)
 
         self.residuals = tuple(self.pool.map(split, range(len(self.points))))
-        self.noise = measured_noise(self.plant, self.points, self.residuals, self.correlations)
+        found = measured_noise(self.plant, self.points, self.residuals, self.correlations)
+        self.noise = Noise(found.force_density, found.output_covariance)
 
     def _weigh(self, relative_errors: Sequence[Array]) -> None:
         """Set the covariances: noise, and model error as a share of each record's output."""
@@ -209,13 +213,13 @@ class _Search:
     def _weigh_by_frequency(self) -> None:
         self._weigh([r.relative_error for r in self.residuals])
 
-    def _problem(self, step: int) -> OutputErrorFit:
+    def _problem(self, step: int) -> FitWithModes:
         # Points have different lines, so that narrow modes are not between them.
         excited = [w for w in self.weighted if any(r.excited for r in w.point.records)]
         some = tuple(w.thin(step, k % step) for k, w in enumerate(excited))
-        return OutputErrorFit(some, self.parameters, self.spread, self.pool)
+        return FitWithModes(some, self.parameters, self.spread, self.pool)
 
-    def _fit(self, steps: int, step: int) -> Factor:
+    def _fit(self, steps: int, step: int) -> Factor[ParameterSlopes]:
         self.progress(f"step {self.steps + 1}", 1.0 - 0.9**self.steps)
         self.plant, factor, _ = self._problem(step).search(self.plant, steps)
         self.steps += 1
@@ -228,7 +232,7 @@ class _Search:
         self._weigh_by_frequency()
         free = replace(self._problem(self.step), spread=np.full(count, np.inf))
         factor = free.factor(self.plant)
-        order = [*range(count, len(factor.names)), *range(count)]
+        order = [*range(count, len(factor.slopes)), *range(count)]
         own = np.asarray(np.linalg.qr(factor.R[:, order], mode="r"))[-count:, -count:]
         held = find_unidentifiable(np.sqrt(self.step) * own, p.names, p.worth, p.scale)
         names = {u.name for u in held}
@@ -308,11 +312,12 @@ class _Search:
             kept = tuple(m for m in modes if not any(m is x for x in left))
             self.plant = replace(self.plant, modes=kept)
 
-    def _evidence(self, k: int, factor: Factor, covariance: Array) -> float:
+    def _evidence(self, k: int, factor: Factor[ParameterSlopes], covariance: Array) -> float:
         """Return by how much a mode lowers the Bayesian information criterion (Wald's test)."""
         mode = self.plant.modes[k]
-        own = [i for i, name in enumerate(factor.names) if len(name) == 3 and name[0] == k]
-        strength = np.array([mode.strength[i, j] for i, j in mode.entries()]) / factor.scales[own]
+        own = [i for i, name in enumerate(factor.slopes.names) if len(name) == 3 and name[0] == k]
+        strength = np.array([mode.strength[i, j] for i, j in mode.entries()])
+        strength /= factor.slopes.scales[own]
         wald = float(strength @ np.linalg.pinv(covariance[np.ix_(own, own)]) @ strength)
         numbers = 2 * sum(
             len(p.excited) * r.Y.shape[1] for p in self.points for r in p.records if r.excited

@@ -11,8 +11,9 @@ from scipy.interpolate import CubicSpline
 
 from ....model.declared_model import DeclaredModel
 from ....model.second_order import SecondOrder
+from ...loop_spectra.spectral_lines import PointLines
 from .mode import Mode
-from .spectral_lines import PointLines
+from .transients import transient_columns
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -51,23 +52,30 @@ class LinearPlant:
                 modes[k] = replace(modes[k], **{what: getattr(modes[k], what) + change})
         return LinearPlant(self.model.with_values(values), tuple(modes))
 
+    def response(self, point: PointLines) -> Complex:
+        """Return P (F, n, p) from the command to the output at the point's lines, held (zoh).
 
-def response(plant: LinearPlant, point: PointLines) -> Complex:
-    """Return P (F, n, p) from the command to the output at the point's lines, input held (zoh).
+        It is the sum over the images s + 2 pi k j / Ts of the continuous response times hold, lag
+        and delay, which is exact for any fraction of a period.
+        """
+        at = self.model.at(point.schedule)
+        f, Ts_s, delay_s = point.freq_hz, point.Ts_s, point.delay_s
+        nodes = np.linspace(f[0], f[-1], _NODES) if len(f) > _NODES else f
+        orders = np.array([k for k in range(-_IMAGES, _IMAGES + 1) if k != 0])
+        shifted = (nodes + orders[:, None] / Ts_s).ravel()
+        images = _held_response(at, self.modes, shifted, Ts_s, delay_s)
+        summed = images.reshape(len(orders), len(nodes), *images.shape[1:]).sum(axis=0)
+        if len(f) > _NODES:
+            summed = CubicSpline(nodes, summed)(f)
+        return np.asarray(_held_response(at, self.modes, f, Ts_s, delay_s) + summed)
 
-    It is the sum over the images s + 2 pi k j / Ts of the continuous response times hold, lag and
-    delay, which is exact for any fraction of a period.
-    """
-    at = plant.model.at(point.schedule)
-    f, Ts_s, delay_s = point.freq_hz, point.Ts_s, point.delay_s
-    nodes = np.linspace(f[0], f[-1], _NODES) if len(f) > _NODES else f
-    orders = np.array([k for k in range(-_IMAGES, _IMAGES + 1) if k != 0])
-    shifted = (nodes + orders[:, None] / Ts_s).ravel()
-    images = _held_response(at, plant.modes, shifted, Ts_s, delay_s)
-    summed = images.reshape(len(orders), len(nodes), *images.shape[1:]).sum(axis=0)
-    if len(f) > _NODES:
-        summed = CubicSpline(nodes, summed)(f)
-    return np.asarray(_held_response(at, plant.modes, f, Ts_s, delay_s) + summed)
+    def compliance(self, point: PointLines) -> Complex:
+        """Return the response (F, n, p) to a force that acts at once and is not held."""
+        return continuous_response(self, point.schedule, point.freq_hz)
+
+    def free_motions(self, point: PointLines) -> Complex:
+        """Return columns (F, n, T) of the motions that begin and end of a record leave."""
+        return transient_columns(self.model.at(point.schedule), self.modes, point)
 
 
 def continuous_response(

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from ....model.second_order import state_space
-from .sampled_response import LinearPlant
-from .spectral_lines import PointLines
+from ....model.second_order import SecondOrder, state_space
+from ...loop_spectra.spectral_lines import PointLines
+from .mode import Mode
 
 Complex = NDArray[np.complex128]
 
 
-def transient_columns(plant: LinearPlant, point: PointLines) -> Complex:
-    """Return columns (F, n, T) of which Y - P U holds an unknown real combination.
+def transient_columns(at: SecondOrder, modes: Sequence[Mode], point: PointLines) -> Complex:
+    """Return columns (F, n, T) of free motions of a structure with modes.
 
-    The DFT of a finite record of a linear plant is Y = P U + C (z I - A)^-1 z (x_0 - x_N): a free
-    motion of the plant from the difference of its state at begin and end (Pintelon and Schoukens
-    2012, 6.3.2). The motion of a mode has a free direction; two rows of inputs are on their way
-    (delay and lag).
+    The motion of a mode has a free direction; two rows of inputs are on their way (delay and lag).
     """
-    at = plant.model.at(point.schedule)
     n = len(at.M)
     z = np.exp(2j * np.pi * point.freq_hz * point.Ts_s)
     rigid = state_space(at)
@@ -30,7 +28,7 @@ def transient_columns(plant: LinearPlant, point: PointLines) -> Complex:
     free = rigid.C @ np.linalg.solve(shifted, np.broadcast_to(np.eye(len(A)), shifted.shape))
     columns = [free * z[:, None, None]]
     eye = np.eye(n)
-    for m in plant.modes:
+    for m in modes:
         if m.kind == "beyond":
             continue
         turn = m.omega * np.sqrt(max(1.0 - m.damping**2, 0.0))

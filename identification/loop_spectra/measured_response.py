@@ -1,4 +1,4 @@
-"""Measure the plant's response at each point of the schedule, without a model."""
+"""Measure the plant's response at one point of the schedule, without a model."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ...nonparametric.frequency_response import ResponseEstimate
-from ...nonparametric.joint_input_output import plant_from_joint_response
-from ...nonparametric.local_polynomial import local_polynomial
-from ...records.record import IdentificationError
-from ..experiment.experiment_from_log import Experiment
-from .spectral_lines import by_point
+from ..nonparametric.frequency_response import ResponseEstimate
+from ..nonparametric.joint_input_output import plant_from_joint_response
+from ..nonparametric.local_polynomial import local_polynomial
+from ..records.record import IdentificationError
+from .spectral_lines import LoopSignals
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -26,23 +25,37 @@ _BESIDE = 20
 """Lines on either side of an excited one whose power, where not excited, is the noise."""
 
 
-def measured_responses(
-    experiments: Sequence[Experiment], top_hz: float
-) -> tuple[ResponseEstimate, ...]:
-    """Return P (F, n, p) at each point whose records excite every input, at common frequencies.
+def measured_response(
+    records: Sequence[LoopSignals], Ts_s: float, top_hz: float
+) -> ResponseEstimate:
+    """Return P (F, n, p) up to top_hz, from records of one point and length.
 
     Both the outputs' and the inputs' responses to the excitation are measured, so feedback does not
     bias P: by local polynomials for noise, line by line for periodic excitation.
+
+    Raises IdentificationError if the records do not excite every input on its own.
     """
-    excited = [e for e in experiments if e.loop is not None and np.any(np.ptp(e.loop.v, axis=0))]
-    found = []
-    for group in by_point(excited):
-        try:
-            found.append(_measured(group, top_hz))
-        except IdentificationError:
-            continue  # too few records, or too short: other points tell
-    longest = max((len(r.freq_hz) for r in found), default=0)
-    return tuple(r for r in found if len(r.freq_hz) == longest)
+    v = [r.v - r.v.mean(axis=0) for r in records]
+    p = v[0].shape[1]
+    if set().union(*(r.excited for r in records)) != set(range(p)):
+        raise IdentificationError("expected an excitation of every input")
+    signals = [np.hstack([r.y, r.u - r.v]) for r in records]
+    rows = len(records[0].y)
+    last = int(top_hz * rows * Ts_s)
+    V = np.array([fft.rfft(x, axis=0)[:last] for x in v])
+    power = np.sum(np.abs(V) ** 2, axis=(0, 2))
+    excited = np.flatnonzero(power > _EXCITED * power.max())
+    excited = excited[excited >= 1]
+    if len(excited) >= _SPARSE * last:
+        step = max(1, round(last / _POINTS))
+        loop = local_polynomial(v, signals, Ts_s, np.arange(3 * step, last, step) / (rows * Ts_s))
+    elif len(records) >= p:
+        loop = _line_by_line(V, signals, excited, Ts_s)
+    else:
+        raise IdentificationError(
+            f"expected a periodic record for each of {p} inputs, found {len(records)}"
+        )
+    return plant_from_joint_response(loop, records[0].y.shape[1])
 
 
 def last_significant(responses: Sequence[ResponseEstimate], top_hz: float) -> float:
@@ -54,25 +67,6 @@ def last_significant(responses: Sequence[ResponseEstimate], top_hz: float) -> fl
     runs = np.convolve(clear, np.ones(5), mode="same") >= 4
     where = np.flatnonzero(runs)
     return top_hz if not len(where) else min(1.1 * float(responses[0].freq_hz[where[-1]]), top_hz)
-
-
-def _measured(group: Sequence[Experiment], top_hz: float) -> ResponseEstimate:
-    v = [e.loop.v for e in group if e.loop is not None]
-    if not np.all(np.any([np.ptp(x, axis=0) > 0 for x in v], axis=0)):
-        raise IdentificationError("expected an excitation of every input")
-    signals = [np.hstack([e.y, e.u - x]) for e, x in zip(group, v, strict=True)]
-    rows, Ts_s = len(group[0].y), group[0].Ts_s
-    last = int(top_hz * rows * Ts_s)
-    V = np.array([fft.rfft(x, axis=0)[:last] for x in v])
-    power = np.sum(np.abs(V) ** 2, axis=(0, 2))
-    excited = np.flatnonzero(power > _EXCITED * power.max())
-    excited = excited[excited >= 1]
-    if len(excited) < _SPARSE * last:
-        loop = _line_by_line(V, signals, excited, Ts_s)
-    else:
-        step = max(1, round(last / _POINTS))
-        loop = local_polynomial(v, signals, Ts_s, np.arange(3 * step, last, step) / (rows * Ts_s))
-    return plant_from_joint_response(loop, group[0].y.shape[1])
 
 
 def _line_by_line(

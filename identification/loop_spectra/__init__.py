@@ -1,0 +1,1 @@
+"""Spectra of records in a known loop: lines, measured response and noise, fit of a plant."""

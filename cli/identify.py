@@ -229,9 +229,13 @@ def _multisine(blas: Sequence[dict[str, Any]]) -> list[str]:
 
 def _point(point: dict[str, Any], names: list[str], answer: str) -> list[str]:
     ratio = ""
-    if "order_gap" in point:
-        ratio = f", the next singular value is {point['order_gap']:.0f} times smaller"
-    elif point["markov"]:
+    in_loop = point["kind"] == "closed loop"
+    if in_loop and point["subspace"] is not None:
+        others = point["subspace"]["doubtful_orders"]
+        ratio = f", {point['subspace']['order']} states of the plant by subspace"
+        if others:
+            ratio += f" ({' or '.join(map(str, others))} are nearly as likely)"
+    elif not in_loop and point["markov"]:
         ratio = f", impulse response of {_impulse(point['impulse'])}"
     count = len(point["records"])
     line = f"{_where(point['beam_m'])}: {count} record{'s' * (count != 1)}, order {point['order']}"
@@ -239,7 +243,7 @@ def _point(point: dict[str, Any], names: list[str], answer: str) -> list[str]:
     lines += [f"  unreliable: {doubt}" for doubt in point["doubts"] if doubt not in answer]
     of_records = tuple(f"{record}: " for record in point["records"])
     lines += [f"  note: {text}" for text in point["remarks"] if not text.startswith(of_records)]
-    if "order_gap" in point:
+    if in_loop:
         return lines
     lines += _modes(point["model"]["modes"])
     for held in point["holdout"]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.second_order import StateSpace
 from .nonparametric import frequency_response
 from .nonparametric.markov_parameters import (
     ESTIMATORS,
@@ -18,23 +17,17 @@ from .nonparametric.markov_parameters import (
 )
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
 from .records.persistence_of_excitation import PoorExcitationError, check_excitation
-from .records.record import OperatingPoint, PiController, Record
+from .records.record import OperatingPoint, Record
 from .results import ClosedLoopPoint
 from .subspace.delay_removal import without_delay
 from .subspace.held_out_simulation import hold_out, settled_row
-from .subspace.ho_kalman import (
-    Decomposition,
-    OrderChoice,
-    Scaling,
-    decompose,
-    order_from_ratio,
-    realise,
-)
+from .subspace.ho_kalman import Decomposition, Scaling, decompose, noise_level, realise
 from .subspace.model_checks import (
+    LONGEST_SETTLING_S,
+    SETTLED_S,
     STATES_A_DOF,
     VISIBLE_TRUNCATION,
     has_decayed,
-    order_doubts,
     plant_doubts,
     predicted_errors,
     settling_time,
@@ -45,9 +38,6 @@ Array = NDArray[np.float64]
 
 LOWEST_HZ, HIGHEST_HZ, POINTS = 0.5, 250.0, 180
 """The logarithmic frequency grid of responses; a segment of 10 s resolves the lowest well."""
-SETTLED_S = 4.0
-"""Initial transients of the rig (decay rate 2.5 1/s) have decayed to 1e-4 after this time."""
-LONGEST_SETTLING_S = 60.0
 LEAST_RESPONSES = 3
 """Least ratio of the shortest record's training rows to the impulse response."""
 LEAST_SEGMENTS = 4
@@ -56,9 +46,15 @@ LENGTHEN = 1.5
 
 
 def identify_closed_loop(
-    point: OperatingPoint, options: Options, progress: Callable[[float], None]
+    point: OperatingPoint,
+    options: Options,
+    progress: Callable[[float], None],
+    states: int | None = None,
 ) -> ClosedLoopPoint:
     """Identify one operating point; `progress` is called with the share of the work done.
+
+    states: the plant's number of states where another method has found it; None: as many as show
+    in the singular values above the errors of the Markov parameters.
 
     The end of every record (`options.holdout`) is held out and simulated with the identified loop.
     The spectra use all settled rows. `doubts` of the result lists reasons not to use the model.
@@ -80,15 +76,25 @@ def identify_closed_loop(
 
     markov: dict[str, MarkovEstimate] = {options.markov: first}
     decompositions: dict[str, Decomposition] = {}
+    levels: dict[str, float] = {}
     for n, method in enumerate(sorted(ESTIMATORS, key=lambda m: m != options.markov)):
         if method not in markov:
             markov[method] = estimate_markov(training, length, method)
-        series = without_delay(markov[method].g, delay, lag_pole, controller, Ts_s)
-        decompositions[method] = decompose(series, Ts_s, scaling)
+
+        def core(g: Array) -> Array:
+            return without_delay(g, delay, lag_pole, controller, Ts_s)
+
+        decompositions[method] = decompose(core(markov[method].g), Ts_s, scaling)
+        levels[method] = noise_level(markov[method], core, scaling)
         progress(0.35 * (n + 1))
-    order, loop, plant = _realise(
-        decompositions[options.markov], options.order, controller, delay, lag_pole
-    )
+    decomposition = decompositions[options.markov]
+    shown = int(np.sum(decomposition.singular_values > levels[options.markov]))
+    wanted = shown if states is None else states + int(np.sum(controller.ki > 0))
+    # A lower bound on the order: otherwise slow integrators are sometimes taken for noise.
+    least = STATES_A_DOF * len(controller.ki) + int(np.sum(controller.ki > 0))
+    order = options.order or min(max(min(shown, wanted), least), decomposition.orders)
+    loop = realise(decomposition, order)
+    plant = IdentifiedPlant(plant_from_loop(loop, controller), delay, lag_pole)
     full_loop = closed_loop(plant.state_space(), controller)
     settled_s = settling_time(full_loop, SETTLED_S, LONGEST_SETTLING_S)
     starts = [settled_row(r, settled_s) for r in point.records]
@@ -114,6 +120,7 @@ def identify_closed_loop(
         controller=controller,
         markov=markov,
         singular_values={m: d.singular_values for m, d in decompositions.items()},
+        noise_levels=levels,
         order=order,
         loop=loop,
         plant=plant,
@@ -136,7 +143,7 @@ def identify_closed_loop(
             *_feedback_remarks([point.records[0].output_names[i] for i in free]),
         ),
         doubts=(
-            *(order_doubts(order) if options.order is None else ()),
+            *(_order_doubts(order, wanted, shown) if options.order is None else ()),
             *plant_doubts(
                 plant, full_loop, holdout, predicted_errors(point.records, holdout, first)
             ),
@@ -181,21 +188,13 @@ def _decayed(training: Sequence[Record], ladder: Sequence[int], options: Options
     return found
 
 
-def _realise(
-    decomposition: Decomposition,
-    given: int | None,
-    controller: PiController,
-    delay: int,
-    lag_pole: float,
-) -> tuple[OrderChoice, StateSpace, IdentifiedPlant]:
-    # A lower bound on the order: otherwise slow integrators are sometimes taken for noise.
-    least = STATES_A_DOF * len(controller.ki) + int(np.sum(controller.ki > 0))
-    order = order_from_ratio(decomposition.singular_values, least)
-    if given is not None:
-        ratio = order.ratios[given - 1] if 1 <= given <= len(order.ratios) else np.nan
-        order = OrderChoice(given, float(ratio), order.ratios)
-    loop = realise(decomposition, order.order)
-    return order, loop, IdentifiedPlant(plant_from_loop(loop, controller), delay, lag_pole)
+def _order_doubts(order: int, wanted: int, shown: int) -> tuple[str, ...]:
+    if shown >= order >= wanted:
+        return ()
+    return (
+        f"the singular values of the impulse response show {shown} states above its noise; the "
+        f"loop has {max(order, wanted)}",
+    )
 
 
 def _at_most(wanted_s: float, records: Sequence[Record], share: int) -> float:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from threadpoolctl import threadpool_limits
 
 from .closed_loop import identify_closed_loop, wanted_rows
-from .closed_loop_subspace import add_subspace_model
+from .closed_loop_subspace import checked, subspace_plant
 from .open_loop import identify_open_loop
 from .options import Options
 from .records.drop_short_records import drop_short_records, left_out_remarks
@@ -91,9 +91,21 @@ def _identify_closed_loop_point(
     records, too_short = drop_short_records(
         point.records, wanted_rows(options, point.records[0].Ts_s)
     )
-    found = identify_closed_loop(replace(point, records=records), options, progress)
-    found = replace(found, remarks=(*left_out_remarks(too_short), *found.remarks))
-    return add_subspace_model(found, records, options)
+    plant, reasons = None, []
+    try:
+        plant = subspace_plant(records, options)
+    except IdentificationError as error:
+        reasons = [f"no subspace model: {error}"]
+    progress(0.3)
+    states = None if plant is None else plant.order
+    found = identify_closed_loop(
+        replace(point, records=records), options, lambda share: progress(0.3 + 0.7 * share), states
+    )
+    return replace(
+        found,
+        remarks=(*left_out_remarks(too_short), *found.remarks, *reasons),
+        subspace=None if plant is None else checked(plant, found, records, options),
+    )
 
 
 def _check_same_signals(first: Record, other: Record) -> None:

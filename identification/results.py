@@ -16,7 +16,7 @@ from .nonparametric.markov_parameters import MarkovEstimate
 from .records.record import PiController
 from .records.signal_names import SignalNames
 from .subspace.held_out_simulation import HoldOut
-from .subspace.ho_kalman import OrderChoice
+from .subspace.plant_by_spectra import SpectralPlant
 from .subspace.plant_from_loop import IdentifiedPlant
 from .subspace.response_uncertainty import ModelResponse, Modes
 from .subspace.simulation import InnovationModel
@@ -29,23 +29,26 @@ Complex = NDArray[np.complex128]
 class SubspacePoint:
     """The plant at one operating point by the subspace method, with standard errors.
 
-    `singular_values` are those of the prediction, `order` the number of core states chosen from
-    them. `covariance` (n + m, n + p, n + m, n + p) is the error covariance of [A B; C D] of
-    plant.core, `innovation_covariance` (m, m) that of the one-step prediction error with a past of
-    `past` samples. `response` is P at the frequencies of the point, `modes` are the core's poles.
-    `doubts` lists reasons not to use the model.
+    `found` has the plant, its covariance and the evidence for its order. `response` is P at the
+    frequencies of the point, `modes` are the core's poles. `doubts` lists reasons not to use the
+    model.
     """
 
-    plant: IdentifiedPlant
-    order: OrderChoice
-    singular_values: Array
-    covariance: Array
-    innovation_covariance: Array
-    past: int
+    found: SpectralPlant
     response: ModelResponse
     modes: Modes
     holdout: tuple[HoldOut, ...]
     doubts: tuple[str, ...] = ()
+
+    @property
+    def plant(self) -> IdentifiedPlant:
+        """The plant."""
+        return self.found.plant
+
+    @property
+    def order(self) -> int:
+        """The number of the core's states."""
+        return self.found.order
 
     @property
     def trusted(self) -> bool:
@@ -58,9 +61,11 @@ class ClosedLoopPoint:
     """The plant at one operating point, from records in a loop with a known controller.
 
     `markov` and `singular_values` have one entry for each estimator: of the loop G from v to y, and
-    of its Hankel matrix without known delay and lag. `loop` is the realised model of that loop,
-    `plant` follows from it by (14). All responses of P are at freq_hz (F,): of `plant`, of (14)
-    applied to the Markov parameters at each frequency, of (15), and of the joint estimate.
+    of its Hankel matrix without known delay and lag; `noise_levels` are the largest singular values
+    that the errors of the Markov parameters have. `loop` is the realised model of that loop, of
+    `order` states; `plant` follows from it by (14). All responses of P are at freq_hz (F,): of
+    `plant`, of (14) applied to the Markov parameters at each frequency, of (15), and of the joint
+    estimate.
     `doubts` lists reasons not to use `loop`, `plant` and their simulations; the other responses are
     not affected. `subspace` is the plant by that method; if None, `remarks` gives the reason.
     """
@@ -70,7 +75,8 @@ class ClosedLoopPoint:
     controller: PiController
     markov: Mapping[str, MarkovEstimate]
     singular_values: Mapping[str, Array]
-    order: OrderChoice
+    noise_levels: Mapping[str, float]
+    order: int
     loop: StateSpace
     plant: IdentifiedPlant
     freq_hz: Array

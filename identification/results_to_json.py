@@ -49,9 +49,9 @@ def _closed(point: ClosedLoopPoint) -> dict[str, Any]:
         "kind": "closed loop",
         "beam_m": point.beam_m,
         "records": point.records,
-        "order": point.order.order,
-        "order_gap": point.order.ratio,
+        "order": point.order,
         "singular_values": point.singular_values,
+        "noise_levels": point.noise_levels,
         "markov": {name: _markov(m) for name, m in point.markov.items()},
         "loop": _model(point.loop),
         "plant": _plant(point.plant),
@@ -74,10 +74,12 @@ def _subspace(found: SubspacePoint) -> dict[str, Any]:
     response, modes = found.response, found.modes
     some = np.linspace(0, len(response.freq_hz) - 1, _RESPONSES).round().astype(int)
     return {
-        "order": found.order.order,
-        "order_gap": found.order.ratio,
-        "past": found.past,
-        "singular_values": found.singular_values,
+        "order": found.order,
+        "doubtful_orders": found.found.doubtful_orders,
+        "singular_values": found.found.singular_values,
+        "noise_level": found.found.noise_level,
+        "top_hz": found.found.top_hz,
+        "white": found.found.white,
         "plant": _plant(found.plant),
         "modes": _modes(modes),
         "response": {
@@ -87,7 +89,6 @@ def _subspace(found: SubspacePoint) -> dict[str, Any]:
             "phase_rad": np.angle(response.H[some]),
             "phase_se_rad": response.phase_deviation_rad[some],
         },
-        "innovation_covariance": found.innovation_covariance,
         "holdout": [_holdout(h) for h in found.holdout],
         "trusted": found.trusted,
         "doubts": found.doubts,

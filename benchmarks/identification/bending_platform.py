@@ -124,6 +124,25 @@ class Platform:
         )
         return np.asarray(T @ C @ inner)
 
+    def sampled_response(self, x_b_m: float, freq_hz: Array, Ts_s: float) -> Complex:
+        """Return the response (F, 3, 3) from u to y of the sampled loop, bearing as above.
+
+        The command acts a cycle later, is held, and goes through the current loops.
+        """
+        A, B, _, C, _ = self.matrices(x_b_m)
+        n, lag = len(A), NOMINAL["lag"]
+        whole = np.block([[A, B], [np.zeros((9, n)), -np.eye(9) / lag]])
+        inputs = np.vstack([np.zeros((n, 3)), T.T / lag])
+        block = np.zeros((n + 12, n + 12))
+        block[: n + 9, : n + 9], block[: n + 9, n + 9 :] = whole, inputs
+        step = expm(block * Ts_s)
+        z = np.exp(2j * np.pi * freq_hz * Ts_s)[:, None, None]
+        inner = np.linalg.solve(
+            z * np.eye(n + 9) - step[: n + 9, : n + 9],
+            np.broadcast_to(step[: n + 9, n + 9 :], (len(z), n + 9, 3)),
+        )
+        return np.asarray(T @ np.hstack([C, np.zeros((9, 9))]) @ inner / z)
+
 
 def drawn(seed: int) -> Platform:
     """Draw a platform of the paper's kind: a bearing, up to 3 modes of 60 to 300 Hz, 1 to 10 kg."""

@@ -31,7 +31,7 @@ from levid.identification.options import Options
 from levid.identification.records.from_log import from_log
 from levid.identification.records.record import Record
 from levid.identification.results import ClosedLoopPoint
-from levid.identification.subspace.pbsid import plant_by_subspace
+from levid.identification.subspace.plant_by_spectra import plant_by_spectra
 from levid.identification.subspace.response_uncertainty import SURE_95, response_with_errors
 from levid.log.reader import read_log
 
@@ -86,7 +86,7 @@ def coverage(seeds: int, duration_s: float) -> Iterator[Figure]:
     inside = []
     for seed in range(100, 100 + seeds):
         records = flown([0.1], duration_s, seed)
-        found = plant_by_subspace(records, 6, float(np.exp(-records[0].Ts_s / LAG_S)))
+        found = plant_by_spectra(records, 6, float(np.exp(-records[0].Ts_s / LAG_S)))
         P = response_with_errors(found.plant, found.covariance, freq_hz)
         magnitude = np.abs(np.abs(P.H) - np.abs(true)) / P.magnitude_deviation
         phase = np.abs(np.angle(P.H / true)) / P.phase_deviation_rad

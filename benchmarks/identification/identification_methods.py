@@ -31,7 +31,7 @@ from levid.identification.nonparametric.markov_parameters import (
 from levid.identification.records.record import PiController, Record
 from levid.identification.subspace.delay_removal import without_delay
 from levid.identification.subspace.ho_kalman import Scaling, decompose, realise
-from levid.identification.subspace.pbsid import plant_by_subspace
+from levid.identification.subspace.plant_by_spectra import plant_by_spectra
 from levid.identification.subspace.plant_from_loop import IdentifiedPlant, plant_from_loop
 from levid.model.second_order import StateSpace
 
@@ -60,8 +60,8 @@ def levid_ho_kalman(records: Sequence[Record], freq_hz: Array) -> Complex:
 
 
 def levid_subspace(records: Sequence[Record], freq_hz: Array) -> Complex:
-    """Predictor-based subspace identification from u to y: the plant's six states at once."""
-    return plant_by_subspace(records, 6, _lag_pole(records)).plant.response(freq_hz)
+    """Subspace of the measured response, fitted to the spectra: the plant's six states."""
+    return plant_by_spectra(records, 6, _lag_pole(records)).plant.response(freq_hz)
 
 
 def control_realization(records: Sequence[Record], freq_hz: Array) -> Complex:

@@ -116,10 +116,17 @@ def _over_noise(fit: LoopFit, experiments: Sequence[Experiment]) -> float:
         points = lines_by_point(experiments, (float(freq_hz[0]), float(freq_hz[-1])))
     except IdentificationError:
         points = fit.points  # a quarter of a record has too few lines in a narrow band
+    levels = {
+        record.name: level
+        for point, found in zip(fit.points, fit.residuals, strict=True)
+        for record, level in zip(point.records, found.levels.tolist(), strict=True)
+    }
     ratios = []
     for point in points:
         noise = noise_spectrum(fit.plant, point, fit.noise)
         expected = np.einsum("fii->i", noise).real
-        for E in without_transients(fit.plant, point, [noise] * len(point.records)):
-            ratios.append(np.sqrt(np.sum(np.abs(E) ** 2, axis=0) / expected))
+        errors = without_transients(fit.plant, point, [noise] * len(point.records))
+        for record, E in zip(point.records, errors, strict=True):
+            power = np.sum(np.abs(E) ** 2, axis=0)
+            ratios.append(np.sqrt(power / (expected * levels.get(record.name, 1.0))))
     return float(np.max(ratios))

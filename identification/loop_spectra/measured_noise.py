@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from ..covariance_scaling import scaled
+from ..records.record import IdentificationError
 from .loop_plant import LoopPlant
 from .output_errors import residual
 from .residual_spectrum import ResidualSpectrum
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _ROUNDS = 8
+_ROUNDING = 1e-20
 _LEAST = 1e-6
 """Least share of a noise source: none is exactly zero, for the Kalman filter's sake."""
 
@@ -64,10 +66,13 @@ def measured_noise(
         targets.append(np.einsum("fii->fi", found.noise).real)
     A = np.concatenate(columns)
     A, b = A.reshape(-1, A.shape[2]), np.concatenate(targets).ravel()
+    if not np.max(b) > 0.0:
+        raise IdentificationError("expected noise in the records, found that they have none at all")
+    b = np.maximum(b, _ROUNDING * np.max(b))
     weight = 1.0 / b
     for _ in range(_ROUNDS):
         weighted = A * weight[:, None]
-        size = np.linalg.norm(weighted, axis=0)
+        size = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
         sizes = nnls(weighted / size, b * weight)[0] / size
         weight = 1.0 / np.maximum(A @ sizes, 1e-3 * b)
     # The size at which a source would be all the noise of some output at some frequency.

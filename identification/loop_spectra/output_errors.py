@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -79,6 +79,9 @@ def without_transients(
     return cleaned
 
 
+Effect = Callable[[Complex], Complex]
+"""From an input U (F, p) to S dP U (F, n, N), along all directions."""
+
 P = TypeVar("P", bound=LoopPlant)
 S = TypeVar("S", bound="Slopes")
 
@@ -91,8 +94,8 @@ class Slopes(ABC):
         """Return the number of directions N."""
 
     @abstractmethod
-    def at(self, point: PointLines) -> Complex:
-        """Return dP (N, F, n, p) along the directions, each of a typical size."""
+    def effect(self, point: PointLines, S: Complex) -> Effect:
+        """Return how S dP U follows from U, for steps of a typical size."""
 
 
 @dataclass(frozen=True)
@@ -181,18 +184,17 @@ class OutputErrors(ABC, Generic[P, S]):
         for block in w.blocks():
             E, S, P = residual(plant, block.point)
             T = S @ plant.free_motions(block.point)
-            dP = None if slopes is None else slopes.at(block.point)
-            S_dP = None if dP is None else np.moveaxis(S @ dP, 0, 3)
+            effect = None if slopes is None else slopes.effect(block.point, S)
             C_S_P = block.point.controller @ S @ P
 
             def rows(
                 record: RecordLines, E: Complex, covariance: Complex, above: Array,
-                T: Complex = T, S_dP: Complex | None = S_dP, C_S_P: Complex = C_S_P,
+                T: Complex = T, effect: Effect | None = effect, C_S_P: Complex = C_S_P,
             ) -> Array:  # fmt: skip
                 columns = [T, E[:, :, None]]
-                if S_dP is not None:
+                if effect is not None:
                     U = record.V - np.einsum("fij,fj->fi", C_S_P, record.V)
-                    columns.insert(1, -np.einsum("fikN,fk->fiN", S_dP, U))
+                    columns.insert(1, -effect(U))
                 part = _stacked(_whitener(covariance) @ np.concatenate(columns, axis=2))
                 if len(above):
                     part = np.vstack([above, part])

@@ -19,6 +19,9 @@ HALF_WIDTH = 12
 _WEIGHS, _CLEAR_ERROR = 1e-3, 1e-6
 """Probability by chance below which a model error weighs, and below which it is said: some thousand
 bands are looked at, and a weight by chance costs little."""
+NOT_WHITE = 6.0
+"""Standard deviations by chance of a band's excess from which the residual is not white. Some
+thousand bands are looked at; 6 of a chi-square variable is one in 10^5 by chance."""
 _CLEAR = 20.0
 """Power of the output over the noise from which it counts for the misfit."""
 
@@ -27,16 +30,19 @@ _CLEAR = 20.0
 class ResidualSpectrum:
     """The residual of one point in bands of 2 HALF_WIDTH + 1 lines, centred at freq_hz (B,).
 
-    `noise` (F, n, n): covariance of what does not depend on the excitation, at every line.
+    `noise` (F, n, n): covariance of what does not depend on the excitation, at every line; `levels`
+    (R,): that of each record over it, as a factor.
     `excess` (B,): whitened power that depends on the excitation, over the records, less what
-    chance leaves; its standard deviation by chance is `excess_sd`. `relative_error` (F, n): power
-    of the model error over that of the output, where it is significant, else 0, as it weighs;
-    `clear_error` (F, n): the same where it is beyond doubt. `misfit` sums up both over all bands:
-    (model error power, bands) relative to the output.
+    chance leaves; its standard deviation by chance is `excess_sd`. `clear_error` (F, n): power
+    of the model error over that of the output where it is beyond doubt, else 0; `relative_error`
+    (F, n): the same where it is significant, as it weighs: an error is the same at all lines of a
+    band, so it does not average out over them as noise does, and counts as often. `misfit` sums up
+    over all bands: (model error power, bands) relative to the output.
     """
 
     freq_hz: Array
     noise: Complex
+    levels: Array
     excess: Array
     excess_sd: float
     relative_error: Array
@@ -63,25 +69,28 @@ def split_residual(
     bands = _bands(F)
     B, width = bands.shape
     offset = (np.arange(width) - 0.5 * (width - 1)) / max(0.5 * (width - 1), 1.0)
-    cross, freedom = np.zeros((B, n, n), complex), 0
-    explained: list[Complex] = []
-    error, output, unknowns = np.zeros((B, n)), np.zeros((B, n)), 0
-    chance = np.zeros((B, width))
+    parts = []
     for record, E in zip(point.records, residuals, strict=True):
         # Whitened first: within a band at a resonance the noise changes by decades.
         whitened = np.einsum("fij,fj->fi", whiten, E)[bands]
         Q = _regressors(record, bands, offset)
         fit = Q @ (Q.conj().transpose(0, 2, 1) @ whitened)
-        left = whitened - fit
-        cross += left.transpose(0, 2, 1) @ left.conj()
+        parts.append((record, Q, fit, whitened - fit))
+    levels = _levels([left for *_, left in parts], [width - Q.shape[2] for _, Q, *_ in parts])
+    cross, freedom = np.zeros((B, n, n), complex), 0
+    explained: list[Complex] = []
+    error, output, unknowns = np.zeros((B, n)), np.zeros((B, n)), 0
+    chance = np.zeros((B, width))
+    for (record, Q, fit, left), level in zip(parts, levels.tolist(), strict=True):
+        cross += left.transpose(0, 2, 1) @ left.conj() / level
         freedom += width - Q.shape[2]
         if Q.shape[2]:
-            explained.append(np.asarray(fit))
+            explained.append(np.asarray(fit / np.sqrt(level)))
             raw = np.einsum("blij,blj->bli", factor[bands], fit)
             error += np.sum(np.abs(raw) ** 2, axis=1)
             output += np.sum(np.abs(record.Y[bands]) ** 2, axis=1)
             unknowns += Q.shape[2]
-            chance += np.sum(np.abs(Q) ** 2, axis=2)
+            chance += np.sum(np.abs(Q) ** 2, axis=2) * level
     smooth = _smoothed(np.asarray(cross / freedom))
     inverse = np.linalg.inv(smooth)
     power = sum(
@@ -112,12 +121,35 @@ def split_residual(
     return ResidualSpectrum(
         np.interp(centres, lines, point.freq_hz),
         np.asarray(noise),
+        levels,
         power - n * unknowns,
         float(np.sqrt(max(n * unknowns, 1))),
-        np.array([np.interp(lines, centres, x) for x in _widened(weighs).T]).T,
+        np.array([np.interp(lines, centres, x) for x in width * _widened(weighs).T]).T,
         np.array([np.interp(lines, centres, x) for x in said.T]).T,
         (float(relative[clear].sum()), int(clear.sum())),
     )
+
+
+def with_model_error(
+    point: PointLines, found: ResidualSpectrum, share: Array
+) -> tuple[Complex, ...]:
+    """Return the covariance (F, n, n) of each record: noise, and `share` (F, n) of its output."""
+    eye = np.eye(found.noise.shape[1])
+    return tuple(
+        np.asarray(level * found.noise + (share * record.power)[:, :, None] * eye)
+        for record, level in zip(point.records, found.levels, strict=True)
+    )
+
+
+def excess_of_bands(residuals: Sequence[ResidualSpectrum]) -> tuple[Array, Array]:
+    """Return the excess (B,) of bands in standard deviations of chance, and frequencies (B,).
+
+    Points together, those of the longest records.
+    """
+    longest = max(len(r.freq_hz) for r in residuals)
+    same = [r for r in residuals if len(r.freq_hz) == longest]
+    excess = np.sum([r.excess for r in same], axis=0)
+    return excess / np.sqrt(np.sum([r.excess_sd**2 for r in same])), same[0].freq_hz
 
 
 def _bands(F: int) -> NDArray[np.int_]:
@@ -125,6 +157,16 @@ def _bands(F: int) -> NDArray[np.int_]:
     width = min(2 * HALF_WIDTH + 1, F)
     starts = np.append(np.arange(0, F - width, HALF_WIDTH), F - width)
     return np.asarray(starts[:, None] + np.arange(width))
+
+
+def _levels(left: Sequence[Complex], freedom: Sequence[int]) -> Array:
+    """Return the noise power (R,) of records over their mean, with the same spectrum."""
+    power = np.array(
+        [np.sum(np.abs(x) ** 2, axis=(1, 2)) / k for x, k in zip(left, freedom, strict=True)]
+    )
+    mean = np.average(power, axis=0, weights=freedom)
+    found = np.mean(power / np.maximum(mean, 1e-300), axis=1)
+    return np.asarray(found / np.average(found, weights=freedom))
 
 
 def _regressors(record: RecordLines, bands: NDArray[np.int_], offset: Array) -> Complex:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...model.second_order import StateSpace
 from ..nonparametric.block_qr import BLOCK_ROWS
+from ..nonparametric.markov_parameters import MarkovEstimate
 from ..records.record import IdentificationError, Record
 from .hankel_operator import HankelOperator, HankelSvd, leading_svd
 
@@ -17,6 +18,8 @@ Array = NDArray[np.float64]
 
 SINGULAR_VALUES = 24
 """Number of singular values computed: plotted, and candidates for the order."""
+_DRAWS, _SURE = 5, 4.0
+"""Draws of the noise alone, and standard deviations of their largest singular value above them."""
 _ROUNDING = 1e-13
 """Singular values below this share of the largest are rounding."""
 
@@ -58,15 +61,6 @@ class Decomposition:
         return int(np.sum(self.singular_values > _ROUNDING * self.singular_values[0]))
 
 
-@dataclass(frozen=True)
-class OrderChoice:
-    """The order n and its ratio s(n) / s(n + 1); `ratios` has the ratio of every order."""
-
-    order: int
-    ratio: float
-    ratios: Array
-
-
 def decompose(
     g: Array, Ts_s: float, scaling: Scaling, count: int = SINGULAR_VALUES
 ) -> Decomposition:
@@ -101,16 +95,26 @@ def decompose_coloured(
     return _decomposition(scaled, H, svd, root @ svd.Vt.T, scaling, Ts_s)
 
 
-def order_from_ratio(singular_values: Array, least: int = 1) -> OrderChoice:
-    """Return the order n >= `least` with the largest ratio s(n) / s(n + 1).
+def noise_level(markov: MarkovEstimate, core: Callable[[Array], Array], scaling: Scaling) -> float:
+    """Return the largest singular value that the errors of Markov parameters alone have.
 
-    Singular values below rounding count as equal.
+    `core` takes known delay and lag out of Markov parameters. The errors of all taps are drawn.
     """
-    s = np.maximum(singular_values, _ROUNDING * singular_values[0])
-    ratios = s[:-1] / s[1:]
-    first = min(least, len(ratios)) - 1
-    order = first + int(np.argmax(ratios[first:])) + 1
-    return OrderChoice(order, float(ratios[order - 1]), ratios)
+    rng, exact = np.random.default_rng(0), core(markov.g)
+
+    def drawn() -> float:
+        error = core(markov.g + markov.standard_error * rng.normal(size=markov.g.shape)) - exact
+        scaled = error * (scaling.inputs / scaling.outputs[:, None])
+        blocks = _blocks(error)
+        return float(leading_svd(HankelOperator(scaled[1:], blocks, blocks), 1).s[0])
+
+    return level_of_chance(drawn)
+
+
+def level_of_chance(drawn: Callable[[], float]) -> float:
+    """Return the largest singular value that noise alone may have, from draws of it."""
+    values = [drawn() for _ in range(_DRAWS)]
+    return float(np.mean(values) + _SURE * np.std(values, ddof=1))
 
 
 def realise(decomposition: Decomposition, order: int) -> StateSpace:

@@ -11,7 +11,6 @@ from ...model.second_order import StateSpace
 from ..nonparametric.markov_parameters import MarkovEstimate, convolve
 from ..records.record import Record
 from .held_out_simulation import HoldOut
-from .ho_kalman import OrderChoice
 from .plant_from_loop import IdentifiedPlant
 from .simulation import free_response, spectral_radius
 
@@ -28,10 +27,11 @@ MIN_SIGNAL_POWER = 4.0
 MAX_TRUNCATION = 1e-3
 """Largest relative rms of the truncated response: its resonances err by as much."""
 STATES_A_DOF = 2
+SETTLED_S = 4.0
+"""Initial transients of the rig (decay rate 2.5 1/s) have decayed to 1e-4 after this time."""
+LONGEST_SETTLING_S = 60.0
 MIN_ERROR_SHARE = 0.05
 """Simulation error, as a share of an output's motion, below which it is ignored."""
-MIN_ORDER_RATIO = 1.5
-"""Least ratio of singular values that determines an order; noise alone gives 1.02 to 1.1."""
 MAX_ERROR_RATIO = 2.0
 """Largest rms error of a valid model over that of its Markov parameters, which are noisier."""
 
@@ -118,17 +118,6 @@ def plant_doubts(
                 f"{error[worst] / expected[worst]:.1f} times that of the impulse response"
             )
     return tuple(found)
-
-
-def order_doubts(choice: OrderChoice) -> tuple[str, ...]:
-    """Return a reason, as text, if the singular values do not determine the order; else empty."""
-    if choice.ratio >= MIN_ORDER_RATIO:
-        return ()
-    return (
-        f"the singular values do not determine the order: the largest ratio, "
-        f"s({choice.order}) / s({choice.order + 1}), is {choice.ratio:.2g}; "
-        f"{MIN_ORDER_RATIO:g} is required",
-    )
 
 
 def _coupling_scale(size: Array) -> Array:

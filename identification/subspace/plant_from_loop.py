@@ -28,9 +28,23 @@ class IdentifiedPlant:
 
     def response(self, freq_hz: Array) -> Complex:
         """Return the frequency response (F, m, p) of P at freq_hz (F,)."""
+        return np.asarray(self.known(freq_hz)[:, None, None] * self.core.response(freq_hz))
+
+    def known(self, freq_hz: Array) -> Complex:
+        """Return the response (F,) of delay and lag."""
         z = np.exp(2j * np.pi * np.asarray(freq_hz) * self.core.Ts_s)
-        known = z**-self.delay_steps * (1 - self.lag_pole) / (1 - self.lag_pole / z)
-        return np.asarray(known[:, None, None] * self.core.response(freq_hz))
+        return np.asarray(z**-self.delay_steps * (1 - self.lag_pole) / (1 - self.lag_pole / z))
+
+    def slopes(self, freq_hz: Array) -> tuple[Complex, Complex]:
+        """Return L (F, m, n + m) and R (F, n + p, p): dP = L d[A B; C D] R."""
+        core = self.core
+        n, m, p = len(core.A), len(core.C), len(core.B[0])
+        z = np.exp(2j * np.pi * np.asarray(freq_hz) * core.Ts_s)
+        inverse = np.linalg.inv(z[:, None, None] * np.eye(n) - core.A)
+        ones = np.ones((len(z), 1, 1))
+        left = np.concatenate([core.C @ inverse, np.eye(m) * ones], axis=2)
+        right = np.concatenate([inverse @ core.B, np.eye(p) * ones], axis=1)
+        return np.asarray(self.known(freq_hz)[:, None, None] * left), np.asarray(right)
 
     def state_space(self) -> StateSpace:
         """Return P in state space, with delay and lag as states."""

@@ -7,9 +7,7 @@ autoregression fitted to each output's. An innovation model predicts one step ah
 outputs; its prediction is the output of the stable system A - K C with the inputs [u, y], so both
 are fitted by one search.
 
-A state-space model has n^2 more parameters than its response. The search takes only directions that
-change the response: those perpendicular to a change of coordinates of the state (McKelvey,
-Helmersson and Ribarits, *Data driven local coordinates*, Automatica 40, 2004). Offsets of the
+The search takes only directions that change the response (`local_coordinates`). Offsets of the
 outputs and initial states are eliminated from each record by QR (variable projection).
 """
 
@@ -21,12 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_lyapunov, solve_toeplitz
+from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
 from ...model.second_order import StateSpace
 from ..nonparametric.block_qr import triangle
 from ..records.record import Record
+from .local_coordinates import moved, normalised, response_directions
 from .simulation import InnovationModel, free_response, simulate, spectral_radius
 
 Array = NDArray[np.float64]
@@ -193,7 +192,7 @@ def _search(
 def _from_start(
     start: StateSpace, data: _Data, coloured: bool, trial: bool
 ) -> tuple[RefinedModel, Array, Array]:
-    model = _normalised(
+    model = normalised(
         replace(
             start,
             B=start.B * data.input_scale,
@@ -211,10 +210,10 @@ def _from_start(
         before, noise = noise, _noise(errors)
         if abs(before.log_determinant - noise.log_determinant) < _NOISE_SETTLED * len(model.C):
             break
-    model = _normalised(model)
+    model = normalised(model)
     rows = sum(len(y) for y in data.outputs)
     none = np.zeros((0, *np.add(model.D.shape, len(model.A))))
-    directions = none if trial else _directions(model, data.direct)
+    directions = none if trial else response_directions(model, data.direct)
     covariance = np.zeros((0, 0))
     if not trial:
         filters = _whitening_filters(errors) if coloured else None
@@ -292,8 +291,8 @@ def _minimise(
     squares = _sum_of_squares(model, data, noise)
     most = _TRIAL_STEPS if trial else _MOST_STEPS
     for step in range(most):
-        model = _normalised(model)
-        directions = _directions(model, data.direct)
+        model = normalised(model)
+        directions = response_directions(model, data.direct)
         R = _reduced(model, data, noise, directions)
         r = len(directions)
         if float(np.sum(R[:r, r] ** 2)) < _CONVERGED:
@@ -304,7 +303,7 @@ def _minimise(
             target = np.concatenate([R[:r, r], np.zeros(r)])
             # The errors fall along minus their derivative.
             move = -np.linalg.lstsq(stacked, target, rcond=1e-10)[0] / size
-            candidate = _moved(model, np.tensordot(move, directions, 1))
+            candidate = moved(model, np.tensordot(move, directions, 1))
             if spectral_radius(candidate.A) >= 1.0:
                 continue
             found = _sum_of_squares(candidate, data, noise)
@@ -316,61 +315,6 @@ def _minimise(
         if gained < _CONVERGED:  # a model of too high an order: directions that hardly matter
             return model, step + 1, True
     return model, most, False
-
-
-def _moved(model: StateSpace, change: Array) -> StateSpace:
-    n = len(model.A)
-    return replace(
-        model,
-        A=model.A + change[:n, :n],
-        B=model.B + change[:n, n:],
-        C=model.C + change[n:, :n],
-        D=model.D + change[n:, n:],
-    )
-
-
-def _normalised(model: StateSpace) -> StateSpace:
-    """Return the model in balanced coordinates of the state, as far as it has them.
-
-    States that are hardly reachable or observable have a lower bound on their scale.
-    """
-    try:
-        reach = solve_discrete_lyapunov(model.A, model.B @ model.B.T)
-        observe = solve_discrete_lyapunov(model.A.T, model.C.T @ model.C)
-    except np.linalg.LinAlgError:
-        return model
-    roots = []
-    for gramian in (reach, observe):
-        values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
-        roots.append(vectors * np.sqrt(np.maximum(values, 1e-12 * values[-1])))
-    U, s, Vt = np.linalg.svd(roots[1].T @ roots[0])
-    if not np.all(np.isfinite(s)) or s[0] <= 0.0:
-        return model
-    half = np.sqrt(np.maximum(s, 1e-12 * s[0]))
-    to_old = roots[0] @ Vt.T / half
-    to_new = (U / half).T @ roots[1].T
-    return replace(model, A=to_new @ model.A @ to_old, B=to_new @ model.B, C=model.C @ to_old)
-
-
-def _directions(model: StateSpace, direct: NDArray[np.bool_]) -> Array:
-    """Return an orthonormal basis (r, n + m, n + p) of the changes that alter the response."""
-    n, m, p = len(model.A), len(model.C), model.B.shape[1]
-    # A change of coordinates T alters A by T A - A T, B by T B and C by -C T.
-    # same[i, j] is that of T with a single one, in row i and column j.
-    same = np.zeros((n, n, n + m, n + p))
-    for i in range(n):
-        same[i, :, i, :n] += model.A
-        same[i, :, i, n:] = model.B
-        same[:, i, :n, i] -= model.A.T
-        same[:, i, n:, i] = -model.C.T
-    free = np.ones((n + m, n + p), bool)
-    free[n:, n:] = direct
-    kept = same.reshape(n * n, n + m, n + p)[:, free]
-    Q = np.linalg.qr(kept.T, mode="complete")[0]
-    basis = Q[:, n * n :].T
-    found = np.zeros((len(basis), n + m, n + p))
-    found[:, free] = basis
-    return found
 
 
 def _errors(model: StateSpace, u: Array, y: Array) -> Array:

@@ -80,15 +80,10 @@ def response_with_errors(
     """
     core = plant.core
     n, m, p = len(core.A), len(core.C), len(core.B[0])
-    z = np.exp(2j * np.pi * np.asarray(freq_hz) * core.Ts_s)
-    inverse = np.linalg.inv(z[:, None, None] * np.eye(n) - core.A)
-    ones = np.ones((len(z), 1, 1))
-    left = np.concatenate([core.C @ inverse, np.eye(m) * ones], axis=2)  # (F, m, n + m)
-    right = np.concatenate([inverse @ core.B, np.eye(p) * ones], axis=1)  # (F, n + p, p)
-    known = (z**-plant.delay_steps * (1 - plant.lag_pole) / (1 - plant.lag_pole / z))[:, None, None]
-    slope = np.einsum("fia,fbj->fijab", known * left, right)
-    half = slope.reshape(len(z), m * p, -1) @ covariance.reshape((n + m) * (n + p), -1)
-    flat = slope.reshape(len(z), m * p, -1)
+    left, right = plant.slopes(freq_hz)
+    slope = np.einsum("fia,fbj->fijab", left, right)
+    flat = slope.reshape(len(slope), m * p, -1)
+    half = flat @ covariance.reshape((n + m) * (n + p), -1)
     return ModelResponse(
         np.asarray(freq_hz, dtype=np.float64),
         plant.response(freq_hz),

@@ -24,11 +24,20 @@ SHOWN = 20
 
 @dataclass(frozen=True)
 class SingularValues:
-    """Singular values (k,) of one beam position, descending, with label and line style."""
+    """Singular values (k,) of one beam position, descending, with label and line style.
+
+    noise_level: the largest that noise alone has, nan if unknown.
+    """
 
     label: str
     line: LineStyle
     values: Array
+    noise_level: float = float("nan")
+
+    @property
+    def significant(self) -> int:
+        """The number of singular values above the level of noise."""
+        return int(np.sum(self.values > self.noise_level))
 
 
 @dataclass(frozen=True)
@@ -43,15 +52,8 @@ class Spectrum:
     order: int | None
 
 
-def gap(values: Array, order: int) -> float:
-    """Return s(n) / s(n + 1) for the order n; NaN without a next singular value."""
-    if not 0 < order < len(values) or not values[order] > 0:
-        return float("nan")
-    return float(values[order - 1] / values[order])
-
-
 def singular_values(spectra: Sequence[Spectrum], *, sheet: Sheet = PAGE) -> Figure:
-    """Draw one panel per estimator on a common scale; mark the order and its smallest ratio."""
+    """Draw one panel per estimator on a common scale; mark the order and the noise."""
     everything = [s.values[:SHOWN] for spectrum in spectra for s in spectrum.positions]
     finite = np.concatenate([v[np.isfinite(v) & (v > 0)] for v in everything] or [np.ones(1)])
     top = finite.max(initial=1e-12)
@@ -81,14 +83,13 @@ def _draw(ax: Axes, spectrum: Spectrum) -> None:
     for k, position in enumerate(spectrum.positions):
         values = np.where(position.values > 0, position.values, np.nan)[:SHOWN]
         ax.plot(np.arange(1, len(values) + 1), values, **_markers(k, position.line))
+        if np.isfinite(position.noise_level):
+            ax.axhline(position.noise_level, color=position.line.colour, lw=0.8, ls="--")
     if spectrum.order is None:
         return
-    gaps = [gap(position.values, spectrum.order) for position in spectrum.positions]
-    known = [g for g in gaps if np.isfinite(g)]
     ax.axvline(spectrum.order + 0.5, color=colour("ink"), linewidth=0.8, linestyle=(0, (2, 2)))
-    text = f"{spectrum.order} states" + (f", gap × {_round(min(known))}" if known else "")
     ax.annotate(
-        text,
+        f"{spectrum.order} states",
         (spectrum.order + 0.5, 1.0),
         xytext=(6, -2),
         xycoords=("data", "axes fraction"),
@@ -107,7 +108,3 @@ def _markers(index: int, line: LineStyle) -> dict[str, Any]:
         "linewidth": 0.6,
         "alpha": 0.9,
     }
-
-
-def _round(value: float) -> str:
-    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"

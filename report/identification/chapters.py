@@ -312,12 +312,13 @@ def _after_closed_loop(
 ) -> list[tuple[str, str]]:
     """Return the next steps, most urgent first."""
     steps = []
-    orders = {point.order.order for point in report.points}
+    orders = {point.order for point in report.points}
     if len(orders) > 1:
         steps.append(
             (
-                f"The beam positions have {listed([str(n) for n in sorted(orders)])} main states. "
-                "Compare the singular values, and set one order for all positions (--order).",
+                f"The beam positions have {listed([str(n) for n in sorted(orders)])} states by "
+                "Ho-Kalman. Compare the singular values, and set one order for all positions "
+                "(--order).",
                 "",
             )
         )

@@ -145,12 +145,12 @@ def modes_of(point: ClosedLoopPoint) -> list[tuple[float, float]]:
 def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
     """Return the sentences of the summary."""
     main = next(iter(report.points[0].markov))
-    smallest = min(p.order.ratio for p in report.points)
     found = (
-        f"The loop has {_numbers(p.order.order for p in report.points)} main states (gap of the "
-        f"singular values by {ESTIMATOR.get(main, main)}: {factor(smallest)} or more). The plant "
-        f"has {_numbers(len(p.plant.core.A) for p in report.points)}; the others are the "
-        "controller's integrators."
+        f"Ho-Kalman's model of the loop has {_numbers(p.order for p in report.points)} states; the "
+        f"singular values of the impulse response by {ESTIMATOR.get(main, main)} show "
+        f"{_numbers(_shown(p, main) for p in report.points)} above its noise. The plant has "
+        f"{_numbers(len(p.plant.core.A) for p in report.points)}; the others are the controller's "
+        "integrators."
     )
     span = f"From {report.shown.bottom_hz:g} to {report.shown.top_hz:g} Hz on the diagonal of P"
     agreement = "; ".join(_comparison(report, name) for name in report.ratios)
@@ -172,9 +172,8 @@ def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
 
 def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
-    smallest = min(p.order.ratio for p in report.points)
-    orders = _numbers(p.order.order for p in report.points)
-    meaning = f"main states; gap of the singular values {factor(smallest)}"
+    orders = _numbers(p.order for p in report.points)
+    meaning = "states of the loop by Ho-Kalman"
     numbers = [Number(orders, meaning, "none" if report.trusted else "doubt")]
     for label, why in report.unreliable:
         numbers.append(Number("not reliable", f"model by Ho-Kalman, beam {label}: {why}", "doubt"))
@@ -201,9 +200,8 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
     return tuple(numbers)
 
 
-def factor(value: float) -> str:
-    """Return a ratio with two or three digits."""
-    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+def _shown(point: ClosedLoopPoint, method: str) -> int:
+    return int(np.sum(point.singular_values[method] > point.noise_levels[method]))
 
 
 def _comparison(report: ClosedLoopReport, name: str) -> str:

@@ -10,16 +10,16 @@ from ..figures.bode import bode_magnitude, bode_phase
 from ..figures.coherence import coherence
 from ..figures.markov_parameters import Markov, markov_parameters
 from ..figures.response_deviation import bounds_text, deviation
-from ..figures.singular_values import SingularValues, Spectrum, gap, singular_values
+from ..figures.singular_values import SingularValues, Spectrum, singular_values
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table
 from ..plotting.labelled_frequency_responses import Curve
 from ..plotting.style import LineStyle, colour, line_of
+from ..session.session_page import listed
 from .closed_loop import (
     ESTIMATOR,
     METHOD,
     ClosedLoopReport,
-    factor,
     modes_of,
     uses_ho_kalman,
 )
@@ -39,43 +39,48 @@ def closed_loop_sections(report: ClosedLoopReport) -> tuple[Section, ...]:
 
 
 def _order_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
-    order, plant = report.points[0].order.order, len(report.points[0].plant.core.A)
+    order, plant = report.points[0].order, len(report.points[0].plant.core.A)
     spectra = [
         Spectrum(
             ESTIMATOR.get(method, method),
             tuple(
-                SingularValues(label, line_of(k), point.singular_values[method])
+                SingularValues(
+                    label, line_of(k), point.singular_values[method], point.noise_levels[method]
+                )
                 for k, (point, label) in enumerate(zip(report.points, report.labels, strict=True))
             ),
             order,
         )
         for method in report.points[0].singular_values
     ]
-    gaps = {s.title: min(gap(p.values, order) for p in s.positions) for s in spectra}
-    ratios = "; ".join(f"a factor of {factor(g)} by {title}" for title, g in gaps.items())
+    shown = "; ".join(
+        f"{listed(sorted({str(p.significant) for p in s.positions}))} by {s.title}" for s in spectra
+    )
     picture = Picture(
         "singular-values",
         to_svg(singular_values(spectra[:1])),  # the others are in the table
-        f"Singular values of the Hankel matrix, logarithmic; the first {order} stand out.",
-        "Singular values of the Hankel matrix of the loop, without the known delay and lag. Gap "
-        f"after number {order}: {ratios}. {plant} states belong to the plant and {order - plant} "
-        "to the controller's integrators; the smaller singular values are noise.",
+        "Singular values of the Hankel matrix, logarithmic, and the level of its noise.",
+        "Singular values of the Hankel matrix of the loop, without the known delay and lag. "
+        "Dashed: the largest one that the errors of the impulse response have by themselves. "
+        f"Above it are {shown}; the model has {order} states: {plant} belong to the plant and "
+        f"{order - plant} to the controller's integrators.",
         "Fig. 9",
     )
     rows = tuple(
         (
             spectrum.title,
             position.label,
+            str(position.significant),
             *(_digits(position.values[n]) for n in (0, order - 1) if n < len(position.values)),
             _digits(position.values[order]) if order < len(position.values) else "—",
-            factor(gap(position.values, order)),
+            _digits(position.noise_level),
         )
         for spectrum in spectra
         for position in spectrum.positions
     )
     names = [f"σ{str(n).translate(_SUBSCRIPT)}" for n in (1, order, order + 1)]
-    head = ("estimator", "beam", *names, "gap")
-    return picture, Table("Singular values (scaled) around the gap", head, rows, labels=2)
+    head = ("estimator", "beam", "above the noise", *names, "noise")
+    return picture, Table("Singular values (scaled), and those of the noise", head, rows, labels=2)
 
 
 def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...identification.greybox.fit_in_loop import FittedLoop
-from ...identification.greybox.modes.identify_in_loop import NOT_WHITE
 from ...identification.greybox.modes.mode import Mode
+from ...identification.loop_spectra.residual_spectrum import NOT_WHITE
 from ..plotting.html_page import Number, Table, Verdict
 from ..plotting.number_format import interval
 from ..session.session_page import listed

@@ -19,6 +19,7 @@ from ..figures.response_deviation import (
     largest,
     worst_on_diagonal,
 )
+from ..figures.singular_values import SingularValues, Spectrum, singular_values
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Number, Part, Section, Table, Text, Verdict
 from ..plotting.labelled_frequency_responses import (
@@ -31,7 +32,8 @@ from ..plotting.labelled_frequency_responses import (
 )
 from ..plotting.number_format import interval
 from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
-from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth, factor
+from ..session.session_page import listed
+from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth
 
 Array = NDArray[np.float64]
 
@@ -119,8 +121,8 @@ def subspace_report(
 
 def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
     """Return the sentences of the summary."""
-    states = " or ".join(str(n) for n in sorted({m.order.order for m in report.models}))
-    gap = factor(min(m.order.ratio for m in report.models))
+    states = " or ".join(str(n) for n in sorted({m.order for m in report.models}))
+    top = min(m.found.top_hz for m in report.models)
     unreliable = [
         label for label, m in zip(report.labels, report.models, strict=True) if not m.trusted
     ]
@@ -130,12 +132,19 @@ def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
         else "It is the most accurate model that assumes no physics."
     )
     text = (
-        f"The subspace method identifies a plant of {states} states from its input and output "
-        f"(gap of the singular values: {gap} or more). Up to {report.shown.top_hz:g} Hz, the 95 % "
+        f"The subspace method identifies a plant of {states} states from the response up to "
+        f"{top:.3g} Hz{_certainty(report)}. Up to {report.shown.top_hz:g} Hz, the 95 % "
         f"interval of its diagonal is {_short(report.uncertainty_db())} dB or less"
     )
     compared = "; ".join(_comparison(report, name) for name in report.ratios)
     return (Text(f"{text}; {compared}. {use}"),)
+
+
+def _certainty(report: SubspaceReport) -> str:
+    others = sorted({n for m in report.models for n in m.found.doubtful_orders})
+    if others:
+        return f"; {listed([str(n) for n in others])} states are nearly as likely"
+    return ""
 
 
 def subspace_numbers(report: SubspaceReport) -> tuple[Number, ...]:
@@ -160,15 +169,22 @@ def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
     beneath = " The wide grey lines beneath are the simulator's truth." if report.truth else ""
     figure = bode_magnitude(report.curves, report.signals, truth=report.truth, shown=report.shown)
     phase = bode_phase(report.curves, report.signals, truth=report.truth, shown=report.shown)
-    past_ms = 1e3 * report.models[0].past * report.models[0].response.Ts_s
+    top_hz = min(m.found.top_hz for m in report.models)
     parts: list[Part] = [
+        Picture(
+            "subspace-singular-values",
+            to_svg(singular_values([_spectrum(report)])),
+            "Singular values of the measured response, logarithmic, and the level of its noise.",
+            f"Singular values of the measured response up to {top_hz:.3g} Hz, without the known "
+            "delay and lag. Dashed: the largest one that its noise has by itself; what is above "
+            "it is a state of the plant.",
+        ),
         Picture(
             "plant-subspace",
             to_svg(figure),
             "Bode magnitude of the plant by the subspace method, every input to every output.",
-            f"Magnitude of P by the subspace method from plant input and output, with a predictor "
-            f"that looks back {past_ms:.3g} ms; bands, mostly narrower than the line, hold 95 % of "
-            f"the estimate's error.{beneath}",
+            "Magnitude of P by the subspace method, fitted to the spectra of all records; bands, "
+            f"mostly narrower than the line, hold 95 % of the estimate's error.{beneath}",
         ),
         Picture(
             "plant-subspace-phase",
@@ -194,6 +210,18 @@ def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
         )
     parts += [_differences_table(report), _modes_table(report), _fits_table(report)]
     return (Section("The plant by subspace", tuple(parts)),)
+
+
+def _spectrum(report: SubspaceReport) -> Spectrum:
+    orders = {m.order for m in report.models}
+    return Spectrum(
+        "",
+        tuple(
+            SingularValues(label, line_of(k), m.found.singular_values, m.found.noise_level)
+            for k, (m, label) in enumerate(zip(report.models, report.labels, strict=True))
+        ),
+        orders.pop() if len(orders) == 1 else None,
+    )
 
 
 def _comparison(report: SubspaceReport, name: str) -> str:

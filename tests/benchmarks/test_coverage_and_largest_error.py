@@ -21,7 +21,7 @@ def test_coverage_is_the_share_of_intervals_that_contain_the_truth(monkeypatch) 
     )
     for name, value in {
         "flown": lambda *_: [SimpleNamespace(Ts_s=1e-3)],
-        "plant_by_subspace": lambda *_: SimpleNamespace(plant=None, covariance=None),
+        "plant_by_spectra": lambda *_: SimpleNamespace(plant=None, covariance=None),
         "response_with_errors": lambda *_: found,
     }.items():
         monkeypatch.setattr(identification_accuracy, name, value)

@@ -38,7 +38,7 @@ def _worst(found: np.ndarray, true: np.ndarray, freq_hz: np.ndarray) -> tuple[fl
 
 def test_least_squares_shows_the_order_nine_and_correlation_does_not(result):
     for point in _points(result):
-        assert point.order.order == 9
+        assert point.order == 9
         s = point.singular_values["least_squares"]
         assert len(s) >= 20
         # After 60 s the singular values of the noise are about 0.01, those of the integrators 0.7:
@@ -116,7 +116,7 @@ def test_given_order_is_used_or_rejected_if_out_of_range(rig, result):
     records = rig.records([0.0], 1000.0, 40.0)
     (point,) = identify(records, Options(order=12, lag_s=rig.LAG_S)).points
     assert isinstance(point, ClosedLoopPoint)
-    assert point.order.order == 12
+    assert point.order == 12
     assert point.plant.core.A.shape == (9, 9)
     true = rig.sampled_plant(0.0, 1e-3).frequency_response(point.freq_hz)
     assert point.remarks == ()
@@ -131,7 +131,7 @@ def test_plant_at_10_khz_agrees_with_the_truth_without_decimation(rig):
     records = rig.records([0.1], 10_000.0, 16.0)
     (point,) = identify(records, Options(lag_s=rig.LAG_S, impulse_s=2.0, segment_s=4.0)).points
     assert isinstance(point, ClosedLoopPoint)
-    assert point.order.order == 9
+    assert point.order == 9
     true = rig.sampled_plant(0.1, 1e-4).frequency_response(point.freq_hz)
     # A quarter of the data and a response of 2 s: errors are 0.08 to 0.2 dB, 2 to 4 degrees.
     dB, degrees = _worst(point.from_ho_kalman, true, point.freq_hz)

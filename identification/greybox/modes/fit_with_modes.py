@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...loop_spectra.output_errors import OutputErrors, Slopes, Weighted
+from ...loop_spectra.output_errors import Effect, OutputErrors, Slopes, Weighted
 from ...loop_spectra.spectral_lines import PointLines
 from ..free_parameters import FreeParameters
 from .mode import Mode
@@ -35,10 +35,11 @@ class ParameterSlopes(Slopes):
         """Return the number of parameters."""
         return len(self.names)
 
-    def at(self, point: PointLines) -> Complex:
-        """Return dP (N, F, n, p) for typical changes."""
-        found = sensitivities(self.plant, point, self.names, self.scales)
-        return np.asarray(found * self.scales[:, None, None, None])
+    def effect(self, point: PointLines, S: Complex) -> Effect:
+        """Return how S dP U follows from U, for typical changes."""
+        dP = sensitivities(self.plant, point, self.names, self.scales)
+        S_dP = np.moveaxis(S @ dP, 0, 3) * self.scales
+        return lambda U: np.asarray(np.einsum("fikN,fk->fiN", S_dP, U))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,13 @@ from ....model.second_order import state_space
 from ...loop_spectra.measured_noise import measured_noise, noise_spectrum
 from ...loop_spectra.measured_response import last_significant
 from ...loop_spectra.output_errors import Factor, Weighted, without_transients
-from ...loop_spectra.residual_spectrum import ResidualSpectrum, split_residual
+from ...loop_spectra.residual_spectrum import (
+    NOT_WHITE,
+    ResidualSpectrum,
+    excess_of_bands,
+    split_residual,
+    with_model_error,
+)
 from ...loop_spectra.spectral_lines import PointLines
 from ...nonparametric.frequency_response import ResponseEstimate
 from ..declared_model_from_config import declared_model
@@ -37,9 +43,6 @@ HIGHEST_SHARE = 0.4
 """Highest line over the sampling rate."""
 SEARCH_LINES = 800
 """Lines of a record in the search; the last steps use all."""
-NOT_WHITE = 6.0
-"""Standard deviations by chance of a band's excess from which the residual is not white. Some
-thousand bands are looked at; 6 of a chi-square variable is one in 10^5 by chance."""
 KNOWN_TO = 0.4
 """Standard deviation of a declared value that the records do not determine, over what makes it
 worth fitting: a fifth of the value where it has a sign."""
@@ -129,9 +132,11 @@ class _Search:
         self.spread = self.parameters.worth
         self.plant = LinearPlant(declared_model(config))
         Ts_s = experiments[0].Ts_s
-        responses = measured_responses(experiments, HIGHEST_SHARE / Ts_s)
         if band_hz is None:
-            band_hz = (0.0, last_significant(responses, HIGHEST_SHARE / Ts_s))
+            top_hz = HIGHEST_SHARE / Ts_s
+            band_hz = 0.0, last_significant(measured_responses(experiments, top_hz), top_hz)
+        # Again, as dense as the band allows.
+        responses = measured_responses(experiments, band_hz[1])
         self.points = lines_by_point(experiments, band_hz)
         excited = [len(p.excited) for p in self.points if any(r.excited for r in p.records)]
         self.step = max(max(excited) // SEARCH_LINES, 1)
@@ -199,14 +204,8 @@ class _Search:
 
     def _weigh(self, relative_errors: Sequence[Array]) -> None:
         """Set the covariances: noise, and model error as a share of each record's output."""
-        eye = np.eye(self.residuals[0].noise.shape[1])
         self.weighted = tuple(
-            Weighted(
-                point,
-                tuple(
-                    r.noise + (share * record.power)[:, :, None] * eye for record in point.records
-                ),
-            )
+            Weighted(point, with_model_error(point, r, share))
             for point, r, share in zip(self.points, self.residuals, relative_errors, strict=True)
         )
 
@@ -239,18 +238,8 @@ class _Search:
         self.spread = np.where([n in names for n in p.names], KNOWN_TO * p.worth, np.inf)
         return held
 
-    def _excess(self) -> tuple[Array, Array]:
-        """Return the excess (B,) of bands in standard deviations of chance, and frequencies (B,).
-
-        Points together, those of the longest records.
-        """
-        longest = max(len(r.freq_hz) for r in self.residuals)
-        same = [r for r in self.residuals if len(r.freq_hz) == longest]
-        excess = np.sum([r.excess for r in same], axis=0)
-        return excess / np.sqrt(np.sum([r.excess_sd**2 for r in same])), same[0].freq_hz
-
     def _worst(self) -> tuple[float, float]:
-        z, freq_hz = self._excess()
+        z, freq_hz = excess_of_bands(self.residuals)
         k = int(np.argmax(z))
         return float(z[k]), float(freq_hz[k])
 
@@ -262,7 +251,7 @@ class _Search:
         """
         tried: set[int] = set()
         while True:
-            z, freq_hz = self._excess()
+            z, freq_hz = excess_of_bands(self.residuals)
             around = {
                 k: float(np.max(z, where=np.abs(freq_hz / m.freq_hz - 1.0) < _AROUND, initial=0.0))
                 for k, m in enumerate(self.plant.modes)

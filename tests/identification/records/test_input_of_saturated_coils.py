@@ -15,7 +15,7 @@ from levid.identification.nonparametric.frequency_response import (
 )
 from levid.identification.records.from_log import FEED_FORWARD, POSE, from_log
 from levid.identification.records.record import IdentificationError, PiController, Record
-from levid.identification.subspace.pbsid import plant_by_subspace
+from levid.identification.subspace.plant_by_spectra import plant_by_spectra
 from levid.log.reader import Log
 from levid.log.signals import cycle_dtype
 
@@ -50,7 +50,7 @@ def flown(rig: ModuleType, limit_n: float) -> tuple[list[Log], float]:
 
 def errors(rig: ModuleType, records: list[Record]) -> tuple[float, float]:
     """Return the relative error of the diagonal: rms by subspace, mean by joint spectra."""
-    found = plant_by_subspace(records, lag_pole=np.exp(-TS / rig.LAG_S)).plant.response(FREQ_HZ)
+    found = plant_by_spectra(records, lag_pole=np.exp(-TS / rig.LAG_S)).plant.response(FREQ_HZ)
     joint = plant_from_joint(records, FREQ_HZ, 4.0)
     by_subspace, by_spectra = (
         np.einsum("fii->fi", H / rig.sampled_plant(X_B, TS).frequency_response(freq_hz)) - 1

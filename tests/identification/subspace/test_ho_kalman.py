@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from levid.identification.nonparametric.markov_parameters import MarkovEstimate
 from levid.identification.records.record import IdentificationError
 from levid.identification.subspace.hankel_operator import HankelOperator, leading_svd
 from levid.identification.subspace.ho_kalman import (
     Scaling,
     decompose,
     decompose_coloured,
-    order_from_ratio,
+    noise_level,
     realise,
 )
 
@@ -39,8 +40,7 @@ def test_exact_markov_parameters_give_back_the_system(n, m, p):
     # Units of very different size: the scaling must cancel.
     scaling = Scaling(np.logspace(-4, 2, m), np.logspace(1, -1, p))
     decomposition = decompose(g, 0.01, scaling)
-    choice = order_from_ratio(decomposition.singular_values)
-    assert choice.order == n
+    assert decomposition.orders == n
     model = realise(decomposition, n)
     found = _markov(model.A, model.B, model.C, model.D, 61)
     # Singular values of the random systems differ by up to 1e5; with rounding, 1e-6 is safe.
@@ -86,11 +86,15 @@ def test_weighting_by_coloured_inputs_leaves_exact_data_exact():
     np.testing.assert_allclose(found, g, atol=1e-7 * np.abs(g).max())
 
 
-def test_gap_below_rounding_does_not_determine_the_order():
-    s = np.array([1.0, 0.5, 1e-3, 1e-16, 1e-22, 1e-30])
-    choice = order_from_ratio(s)
-    assert choice.order == 3
-    assert choice.ratios[0] == 2.0
+def test_noise_level_separates_states_from_noise():
+    C, unit = np.array([[1.0, 1.0, 0.3], [0.5, -1.0, 1.0]]), Scaling(np.ones(2), np.ones(2))
+    g = _markov(np.diag([0.9, 0.8, -0.7]), C.T, C, np.zeros((2, 2)), 201)
+    error = np.full((2, 2), 0.01)
+    for seed in range(10):
+        noisy = g + error * np.random.default_rng([seed, 1]).normal(size=g.shape)
+        markov = MarkovEstimate("least_squares", noisy, error, np.zeros(2), 1.0)
+        level = noise_level(markov, lambda x: x, unit)
+        assert np.sum(decompose(noisy, 1.0, unit).singular_values > level) == 3
 
 
 def test_order_above_the_number_of_states_is_rejected():

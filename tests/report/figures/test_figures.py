@@ -19,7 +19,7 @@ from levid.report.figures.response_deviation import (
     deviation,
     worst_on_diagonal,
 )
-from levid.report.figures.singular_values import SingularValues, Spectrum, gap, singular_values
+from levid.report.figures.singular_values import SingularValues, Spectrum, singular_values
 from levid.report.plotting.figure_to_svg import to_svg
 from levid.report.plotting.labelled_frequency_responses import (
     RIG,
@@ -184,15 +184,15 @@ def test_panels_with_unreliable_curves_only_are_hatched():
             assert "not to be trusted" in drawn(drawing)
 
 
-def test_singular_values_mark_the_order_and_its_gap():
+def test_singular_values_mark_the_order_and_the_noise():
     values = np.concatenate([np.geomspace(10, 1, 9), np.geomspace(0.02, 0.01, 15)])
     spectra = [
-        Spectrum(title, tuple(SingularValues(f"p{k}", line_of(k), values) for k in range(3)), 9)
-        for title in ("least squares", "correlation")
+        Spectrum(t, tuple(SingularValues(f"p{k}", line_of(k), values, 0.03) for k in range(3)), 9)
+        for t in ("least squares", "correlation")
     ]
-    assert gap(values, 9) == pytest.approx(50)
+    assert spectra[0].positions[0].significant == 9
     svg = drawn(singular_values(spectra))
-    assert "9 states, gap × 50" in svg
+    assert "9 states" in svg
     assert "least squares" in svg
     assert "correlation" in svg
 
@@ -202,7 +202,6 @@ def test_singular_values_mark_the_order_and_its_gap():
 )
 def test_singular_values_of_exact_or_missing_data(values):
     drawn(singular_values([Spectrum("", (SingularValues("p", line_of(0), values),), 6)]))
-    assert np.isnan(gap(values, 6))
 
 
 def test_figure_of_many_markov_parameters_is_small():

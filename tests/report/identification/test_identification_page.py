@@ -96,7 +96,7 @@ def test_page_has_the_figures_of_the_paper(result, with_truth):
         *("Answer", "Ho-Kalman: model order", "Ho-Kalman: plant", "agreement of the methods"),
         *("Records", "What next", "Fig. 9", "Fig. 10", "Fig. 12"),
         *("left (−100 mm)", "middle (0 mm)", "right (+100 mm)"),
-        *("truth of the simulator", "rad/(N m)", f"{result.points[0].order.order} states"),
+        *("truth of the simulator", "rad/(N m)", f"{result.points[0].order} states"),
     ):
         assert expected in text
     drawn = {f.stem for f in (with_truth.parent / "figures").iterdir()}

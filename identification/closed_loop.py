@@ -85,7 +85,7 @@ def identify_closed_loop(
             return without_delay(g, delay, lag_pole, controller, Ts_s)
 
         decompositions[method] = decompose(core(markov[method].g), Ts_s, scaling)
-        levels[method] = noise_level(markov[method], core, scaling)
+        levels[method] = noise_level(markov[method], training, core, scaling)
         progress(0.35 * (n + 1))
     decomposition = decompositions[options.markov]
     shown = int(np.sum(decomposition.singular_values > levels[options.markov]))

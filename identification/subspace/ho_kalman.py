@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft, signal
 
 from ...model.second_order import StateSpace
 from ..nonparametric.block_qr import BLOCK_ROWS
-from ..nonparametric.markov_parameters import MarkovEstimate
+from ..nonparametric.markov_parameters import MarkovEstimate, convolve
 from ..records.record import IdentificationError, Record
 from .hankel_operator import HankelOperator, HankelSvd, leading_svd
 
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 SINGULAR_VALUES = 24
 """Number of singular values computed: plotted, and candidates for the order."""
+_SEGMENT = 1024
+"""Rows of a segment of the spectrum of what Markov parameters leave."""
 _DRAWS, _SURE = 5, 4.0
 """Draws of the noise alone, and standard deviations of their largest singular value above them."""
 _ROUNDING = 1e-13
@@ -95,20 +98,41 @@ def decompose_coloured(
     return _decomposition(scaled, H, svd, root @ svd.Vt.T, scaling, Ts_s)
 
 
-def noise_level(markov: MarkovEstimate, core: Callable[[Array], Array], scaling: Scaling) -> float:
+def noise_level(
+    markov: MarkovEstimate,
+    records: Sequence[Record],
+    core: Callable[[Array], Array],
+    scaling: Scaling,
+) -> float:
     """Return the largest singular value that the errors of Markov parameters alone have.
 
-    `core` takes known delay and lag out of Markov parameters. The errors of all taps are drawn.
+    With white excitation the errors of taps are as coloured as what the parameters leave of the
+    records. `core` takes known delay and lag out of Markov parameters.
     """
     rng, exact = np.random.default_rng(0), core(markov.g)
+    colour = np.sqrt(_colour(markov, records))[:, :, None]
 
     def drawn() -> float:
-        error = core(markov.g + markov.standard_error * rng.normal(size=markov.g.shape)) - exact
+        white = fft.rfft(rng.normal(size=markov.g.shape), axis=0)
+        error = markov.standard_error * fft.irfft(white * colour, len(markov.g), axis=0)
+        error = core(markov.g + error) - exact
         scaled = error * (scaling.inputs / scaling.outputs[:, None])
         blocks = _blocks(error)
         return float(leading_svd(HankelOperator(scaled[1:], blocks, blocks), 1).s[0])
 
     return level_of_chance(drawn)
+
+
+def _colour(markov: MarkovEstimate, records: Sequence[Record]) -> Array:
+    """Return the spectrum (L // 2 + 1, m) of what Markov parameters leave, of mean 1."""
+    length = len(markov.g)
+    bins = np.linspace(0.0, 0.5, length // 2 + 1)
+    total = np.zeros((len(bins), markov.g.shape[1]))
+    for record in records:
+        left = (record.y - convolve(record.v, markov.g))[record.first_row(length) :]
+        f, power = signal.welch(left, nperseg=min(_SEGMENT, len(left)), axis=0)
+        total += np.array([np.interp(bins, f, column) for column in power.T]).T * len(left)
+    return np.asarray(total / np.maximum(total.mean(axis=0), 1e-300))
 
 
 def level_of_chance(drawn: Callable[[], float]) -> float:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from levid.identification.nonparametric.markov_parameters import MarkovEstimate
-from levid.identification.records.record import IdentificationError
+from levid.identification.nonparametric.markov_parameters import MarkovEstimate, convolve
+from levid.identification.records.record import IdentificationError, Record
 from levid.identification.subspace.hankel_operator import HankelOperator, leading_svd
 from levid.identification.subspace.ho_kalman import (
     Scaling,
@@ -91,9 +91,12 @@ def test_noise_level_separates_states_from_noise():
     g = _markov(np.diag([0.9, 0.8, -0.7]), C.T, C, np.zeros((2, 2)), 201)
     error = np.full((2, 2), 0.01)
     for seed in range(10):
-        noisy = g + error * np.random.default_rng([seed, 1]).normal(size=g.shape)
+        rng = np.random.default_rng([seed, 1])
+        noisy = g + error * rng.normal(size=g.shape)
         markov = MarkovEstimate("least_squares", noisy, error, np.zeros(2), 1.0)
-        level = noise_level(markov, lambda x: x, unit)
+        v, noise = rng.normal(size=(2, 5000, 2))
+        record = Record("r", 1.0, v, convolve(v, g) + noise, *[("a", "b")] * 4, at_rest=True)
+        level = noise_level(markov, [record], lambda x: x, unit)
         assert np.sum(decompose(noisy, 1.0, unit).singular_values > level) == 3
 
 

@@ -39,7 +39,7 @@ def bode_plot(found: Identification) -> Figure:
     curves = _curves(found)
     low, high = float(curves[0].freq_hz[0]), float(curves[0].freq_hz[-1])
     modes_hz = [mode.frequency.value for mode in found.modes]
-    span = shown_range(low, high, labels, modes_hz)
+    span = shown_range(low, high, modes_hz)
     beams = found.beam_m or (None,)
     truth = []
     if found.truth is not None:

@@ -36,8 +36,9 @@ from .subspace.plant_from_loop import IdentifiedPlant, closed_loop, plant_from_l
 
 Array = NDArray[np.float64]
 
-LOWEST_HZ, HIGHEST_HZ, POINTS = 0.5, 250.0, 180
-"""The logarithmic frequency grid of responses; a segment of 10 s resolves the lowest well."""
+LOWEST_HZ, HIGHEST_SHARE, PER_DECADE = 0.5, 0.4, 67
+"""The logarithmic frequency grid of responses, up to a share of the sampling rate; a segment of
+10 s resolves the lowest well."""
 LEAST_RESPONSES = 3
 """Least ratio of the shortest record's training rows to the impulse response."""
 LEAST_SEGMENTS = 4
@@ -101,7 +102,9 @@ def identify_closed_loop(
     settled = [r.rows(row, len(r.y)) for r, row in zip(point.records, starts, strict=True)]
     segment_s = options.segment_s or _at_most(LOOP_SEGMENT_S, settled, LEAST_SEGMENTS)
 
-    grid = np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.25 / Ts_s), POINTS)
+    highest_hz = HIGHEST_SHARE / Ts_s
+    points = max(round(PER_DECADE * np.log10(highest_hz / LOWEST_HZ)), 2)
+    grid = np.geomspace(LOWEST_HZ, highest_hz, points)
     S = frequency_response.sensitivity(settled, grid, segment_s)
     joint = frequency_response.plant_from_joint(settled, grid, segment_s)
     free = [i for i in range(len(controller.kp)) if not (controller.kp[i] or controller.ki[i])]

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ..plotting.labelled_frequency_responses import (
     CONFIDENCE,
-    RIG,
     Curve,
     Range,
     SignalLabels,
@@ -36,7 +35,7 @@ def bode_magnitude(
     signals: SignalLabels,
     *,
     truth: Sequence[Curve] = (),
-    shown: Range = RIG,
+    shown: Range,
     sheet: Sheet = PAGE,
 ) -> Figure:
     """Draw |P| in m x p panels in physical units, the truth as a wide grey line behind the curves.
@@ -52,7 +51,7 @@ def bode_phase(
     signals: SignalLabels,
     *,
     truth: Sequence[Curve] = (),
-    shown: Range = RIG,
+    shown: Range,
     sheet: Sheet = PAGE,
 ) -> Figure:
     """Draw the phase in m x p panels in degrees, from −300 to 60 so that a delay does not wrap.
@@ -68,7 +67,7 @@ def bode(
     signals: SignalLabels,
     *,
     truth: Sequence[Curve] = (),
-    shown: Range = RIG,
+    shown: Range,
     sheet: Sheet = PAGE,
 ) -> Figure:
     """Draw magnitude above phase for each input and output, as bode_magnitude and bode_phase do."""

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from ..plotting.labelled_frequency_responses import RIG, Curve, Range, SignalLabels, inside
+from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, inside
 from ..plotting.panel_grid import legend_of, name_panel, new_grid, plot_curve
 from ..plotting.style import PAGE, Sheet, drawing
 
 
 def coherence(
-    curves: Sequence[Curve], signals: SignalLabels, *, shown: Range = RIG, sheet: Sheet = PAGE
+    curves: Sequence[Curve], signals: SignalLabels, *, shown: Range, sheet: Sheet = PAGE
 ) -> Figure:
     """Draw the coherence of every path from 0 to 1; the curves' responses are coherences."""
     curves = [inside(c, shown) for c in curves]

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from ...identification.nonparametric.robust_multisine import BestLinearApproximation
-from ..plotting.labelled_frequency_responses import RIG, Curve, Range, SignalLabels, inside, pooled
+from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, inside, pooled
 from ..plotting.panel_grid import entry, name_panel, new_grid, plot_curve
 from ..plotting.style import PAGE, LineStyle, Sheet, colour, drawing, log_ticks
 
@@ -100,7 +100,7 @@ class OutputLevels:
 
 
 def response_with_distortion(
-    response: Response, signals: SignalLabels, *, shown: Range = RIG, sheet: Sheet = PAGE
+    response: Response, signals: SignalLabels, *, shown: Range, sheet: Sheet = PAGE
 ) -> Figure:
     """Draw |P| in m x p panels with the standard deviations of its estimate.
 
@@ -131,7 +131,7 @@ def response_with_distortion(
 
 
 def detection_levels(
-    levels: OutputLevels, signals: SignalLabels, *, shown: Range = RIG, sheet: Sheet = PAGE
+    levels: OutputLevels, signals: SignalLabels, *, shown: Range, sheet: Sheet = PAGE
 ) -> Figure:
     """Draw every output's spectrum at excited, unexcited odd and unexcited even lines.
 

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..plotting.labelled_frequency_responses import (
-    RIG,
     Curve,
     Range,
     SignalLabels,
@@ -113,7 +112,7 @@ def deviation(
     signals: SignalLabels,
     *,
     bounds: Bounds = AGREEMENT,
-    shown: Range = RIG,
+    shown: Range,
     sheet: Sheet = PAGE,
 ) -> Figure:
     """Draw ratios estimate / reference: dB in the upper row, degrees in the lower, a column a DOF.

@@ -102,7 +102,7 @@ def identification_chapters(
     if grey is not None:
         chapters.append(_grey_box_chapter(grey, closed, others, signals, truth, out_dir, commands))
     if any(p.subspace for p in closed):
-        chapters.append(_subspace_chapter(closed, signals, truth))
+        chapters.append(_subspace_chapter(closed, signals, truth, grey))
     if closed:
         chapters.append(_closed_loop_chapter(closed, signals, truth, grey, commands))
     if multisine:
@@ -196,9 +196,12 @@ def _closed_loop_chapter(
 
 
 def _subspace_chapter(
-    points: Sequence[ClosedLoopPoint], signals: SignalLabels, truth: Truth | None
+    points: Sequence[ClosedLoopPoint],
+    signals: SignalLabels,
+    truth: Truth | None,
+    grey: GreyBox | None,
 ) -> Chapter:
-    report = subspace_report(points, signals, truth)
+    report = subspace_report(points, signals, truth, grey)
     words = subspace_words(report)
     trusted = all(model.trusted for model in report.models)
     return Chapter(

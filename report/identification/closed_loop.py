@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from ...identification.results import ClosedLoopPoint
 from ..figures.response_deviation import AGREEMENT, Bounds, Worst, largest, worst_on_diagonal
 from ..plotting.html_page import Number, Text, Verdict
-from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, shown_range
+from ..plotting.labelled_frequency_responses import (
+    Curve,
+    Range,
+    SignalLabels,
+    determined,
+    ratio,
+    shown_range,
+)
 from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
 
 Array = NDArray[np.float64]
@@ -93,9 +100,7 @@ def closed_loop_report(
     labels = tuple(position_label(beam, beams) for beam in beams)
     lines = [line_of(k) for k in range(len(points))]
     modes_hz = [f for p in points for f, _ in modes_of(p)]
-    shown = shown_range(
-        float(points[0].freq_hz[0]), float(points[0].freq_hz[-1]), signals, modes_hz
-    )
+    shown = shown_range(float(points[0].freq_hz[0]), float(points[0].freq_hz[-1]), modes_hz)
     drawn = list(zip(points, labels, lines, strict=True))
     ho_kalman = tuple(
         Curve(label, line, p.freq_hz, p.from_ho_kalman)
@@ -113,6 +118,7 @@ def closed_loop_report(
         )
         for p, label, line in drawn
     )
+    shown = determined(shown, measured)
     ratios: dict[str, tuple[Curve, ...]] = {}
     truths: tuple[Curve, ...] = ()
     if truth is not None:
@@ -152,7 +158,7 @@ def closed_loop_words(report: ClosedLoopReport) -> tuple[Text, ...]:
         f"{_numbers(len(p.plant.core.A) for p in report.points)}; the others are the controller's "
         "integrators."
     )
-    span = f"From {report.shown.bottom_hz:g} to {report.shown.top_hz:g} Hz on the diagonal of P"
+    span = f"From {report.shown.bottom_hz:.3g} to {report.shown.top_hz:.3g} Hz on the diagonal of P"
     agreement = "; ".join(_comparison(report, name) for name in report.ratios)
     texts = [Text(found)]
     for label, why in report.unreliable:
@@ -184,7 +190,7 @@ def closed_loop_numbers(report: ClosedLoopReport) -> tuple[Number, ...]:
         decibel, degree = report.largest(name)
         kept = decibel <= report.bounds.decibel and degree <= report.bounds.degree
         against = "the truth" if second == "truth" else second
-        meaning = f"{first} against {against} at worst, up to {report.shown.top_hz:g} Hz"
+        meaning = f"{first} against {against} at worst, up to {report.shown.top_hz:.3g} Hz"
         verdict: Verdict = "good" if kept else "bad"
         if uses_ho_kalman(name) and report.unreliable:
             verdict = verdict if report.trusted else "doubt"

@@ -144,8 +144,9 @@ def _agreement_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
                 f"agreement-{number + 1}",
                 to_svg(deviation(curves, report.signals, bounds=report.bounds, shown=report.shown)),
                 f"Error of {first} against {second} in dB and degrees on the diagonal.",
-                f"{_upper(METHOD[first])} against {against}. Up to {report.shown.top_hz:g} Hz the "
-                f"largest difference is {decibel:.2f} dB and {degree:.1f}°; "
+                f"{_upper(METHOD[first])} against {against}. Up to "
+                f"{report.shown.top_hz:.3g} Hz the largest difference is {decibel:.2f} dB and "
+                f"{degree:.1f}°; "
                 f"{bounds_text(curves, report.bounds, report.shown)}."
                 + (_unreliable(report) if uses_ho_kalman(name) else ""),
             )
@@ -157,7 +158,7 @@ def _agreement_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
             cells = (f"{w.decibel:.2f} dB, {w.degree:.1f}°" for w in worst)
             rows.append((name.replace(" / ", " against "), label, *cells))
     diagonal = [report.signals.path(i, i) for i in range(min(report.signals.shape))]
-    span = f"{report.shown.bottom_hz:g} to {report.shown.top_hz:g} Hz"
+    span = f"{report.shown.bottom_hz:.3g} to {report.shown.top_hz:.3g} Hz"
     head = ("compared", "beam", *diagonal)
     parts.append(Table(f"Largest differences from {span}", head, tuple(rows), labels=2))
     return tuple(parts)

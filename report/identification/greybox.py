@@ -22,7 +22,14 @@ from ..figures.compute_fitted_response import (
 )
 from ..figures.response_deviation import ACCURACY, AGREEMENT, Bounds, error_text, largest
 from ..plotting.html_page import Number, Text, Verdict
-from ..plotting.labelled_frequency_responses import Curve, Range, SignalLabels, ratio, shown_range
+from ..plotting.labelled_frequency_responses import (
+    Curve,
+    Range,
+    SignalLabels,
+    determined,
+    ratio,
+    shown_range,
+)
 from ..plotting.number_format import chance
 from ..plotting.style import TRUTH, line_of
 from .closed_loop import HO_KALMAN, TRUTH_NAME, Truth
@@ -153,7 +160,11 @@ def grey_box_report(
     lowest = max((float(v.freq_hz[1]) for v in grey.validations if len(v.freq_hz) > 1), default=0.1)
     modes = tuple(fitted_modes(grey.fit, place.schedule) for place in places)
     modes_hz = [f for m in modes for f in m.frequency_hz]
-    compared = shown_range(lowest, 0.4 / grey.Ts_s, signals, modes_hz)
+    measured = [
+        Curve("", line_of(0), r.freq_hz, r.H, r.standard_deviation)
+        for r in (p.from_sensitivity for p in points)
+    ]
+    compared = determined(shown_range(lowest, 0.4 / grey.Ts_s, modes_hz), measured)
     shown, whole = compared, tuple[Curve, ...]()
     if grey.loop is not None:
         band = grey.loop.band

@@ -26,6 +26,7 @@ from ..plotting.labelled_frequency_responses import (
     Curve,
     Range,
     SignalLabels,
+    determined,
     inside,
     ratio,
     shown_range,
@@ -90,12 +91,12 @@ def multisine_report(
     shown = shown_range(
         min(float(bla.freq_hz[0]) for bla in blas),
         max(float(bla.freq_hz[-1]) for bla in blas),
-        signals,
     )
     curves = tuple(
         Curve(label, line_of(k), bla.freq_hz, bla.H, bla.radius() / CONFIDENCE)
         for k, (bla, label) in enumerate(zip(blas, labels, strict=True))
     )
+    shown = determined(shown, curves)
     truths: tuple[Curve, ...] = ()
     ratios: tuple[Curve, ...] = ()
     if truth is not None:

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
+from ...identification.greybox.identify_greybox import GreyBox
+from ...identification.greybox.modes.natural_modes import Origin, natural_modes
 from ...identification.results import ClosedLoopPoint, SubspacePoint
 from ...identification.subspace.response_uncertainty import SURE_95
 from ..figures.bode import bode_magnitude, bode_phase
+from ..figures.compute_fitted_response import places_of
 from ..figures.response_deviation import (
     ACCURACY,
     bounds_text,
@@ -27,6 +31,7 @@ from ..plotting.labelled_frequency_responses import (
     Curve,
     Range,
     SignalLabels,
+    determined,
     ratio,
     shown_range,
 )
@@ -40,6 +45,13 @@ Array = NDArray[np.float64]
 SUBSPACE = "subspace"
 _METHODS = {**METHOD, SUBSPACE: "the model by the subspace method"}
 _TRUTH_POINTS = 240
+_SAME_MODE = 0.05
+"""Relative distance of frequencies within which two models have the same mode."""
+_ORIGINS: dict[Origin, str] = {
+    "declared": "declared model",
+    "bending": "bending of the structure",
+    "attached": "body that moves on the structure",
+}
 
 
 @dataclass(frozen=True)
@@ -47,7 +59,9 @@ class SubspaceReport:
     """The positions with a subspace model, their curves, and the curves to compare with.
 
     The curves' bands are the 95 % interval of the magnitude. ratios: by comparison ('subspace /
-    truth'), one curve of ratios (F, m, p) per position.
+    truth'), one curve of ratios (F, m, p) per position. known: natural frequencies of the fitted
+    model and the modes beside it at each position, if there is one. measured: where Ho-Kalman's
+    model is compared, as the measured response is clear of its noise there.
     """
 
     points: tuple[ClosedLoopPoint, ...]
@@ -58,6 +72,12 @@ class SubspaceReport:
     curves: tuple[Curve, ...]
     truth: tuple[Curve, ...]
     ratios: dict[str, tuple[Curve, ...]]
+    measured: Range
+    known: tuple[tuple[tuple[float, Origin], ...], ...] = ()
+
+    def compared(self, name: str) -> Range:
+        """Return where the responses of a comparison are evaluated."""
+        return self.measured if HO_KALMAN in name else self.shown
 
     def uncertainty_db(self) -> float:
         """Return the largest 95 % interval on the diagonal in dB, up to top_hz."""
@@ -72,9 +92,14 @@ class SubspaceReport:
 
 
 def subspace_report(
-    points: Sequence[ClosedLoopPoint], signals: SignalLabels, truth: Truth | None = None
+    points: Sequence[ClosedLoopPoint],
+    signals: SignalLabels,
+    truth: Truth | None = None,
+    grey: GreyBox | None = None,
 ) -> SubspaceReport:
     """Collect the curves of all positions with a subspace model.
+
+    grey: the fitted model of the same records, which says what the states belong to.
 
     Raises:
         ValueError: no position has a subspace model.
@@ -86,7 +111,7 @@ def subspace_report(
     labels = tuple(position_label(p.beam_m, beams) for _, p, _ in chosen)
     frequencies = points[0].freq_hz
     modes_hz = [f for _, _, model in chosen for f in model.modes.frequency_hz]
-    shown = shown_range(float(frequencies[0]), float(frequencies[-1]), signals, modes_hz)
+    shown = shown_range(float(frequencies[0]), float(frequencies[-1]), modes_hz)
     curves, ho_kalman, exact = [], [], []
     for (k, point, model), label in zip(chosen, labels, strict=True):
         r = model.response
@@ -100,6 +125,11 @@ def subspace_report(
         ho_kalman.append(Curve(label, other, point.freq_hz, point.from_ho_kalman))
         if truth is not None:
             exact.append(Curve("", TRUTH, r.freq_hz, truth(point.beam_m, r.freq_hz)))
+    shown = determined(shown, curves, min(model.found.top_hz for _, _, model in chosen))
+    measured = [
+        Curve("", line_of(k), r.freq_hz, r.H, r.standard_deviation)
+        for k, r in enumerate(p.from_sensitivity for _, p, _ in chosen)
+    ]
     ratios: dict[str, tuple[Curve, ...]] = {}
     truths: tuple[Curve, ...] = ()
     if truth is not None:
@@ -116,6 +146,8 @@ def subspace_report(
         tuple(curves),
         truths,
         ratios,
+        determined(shown, measured),
+        _known(grey, [p for _, p, _ in chosen]),
     )
 
 
@@ -133,11 +165,11 @@ def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
     )
     text = (
         f"The subspace method identifies a plant of {states} states from the response up to "
-        f"{top:.3g} Hz{_certainty(report)}. Up to {report.shown.top_hz:g} Hz, the 95 % "
+        f"{top:.3g} Hz{_certainty(report)}. Up to {report.shown.top_hz:.3g} Hz, the 95 % "
         f"interval of its diagonal is {_short(report.uncertainty_db())} dB or less"
     )
-    compared = "; ".join(_comparison(report, name) for name in report.ratios)
-    return (Text(f"{text}; {compared}. {use}"),)
+    compared = [f"; {_comparison(report, name)}" for name in report.ratios]
+    return (Text(f"{text}{''.join(compared)}. {use}"),)
 
 
 def _certainty(report: SubspaceReport) -> str:
@@ -149,7 +181,7 @@ def _certainty(report: SubspaceReport) -> str:
 
 def subspace_numbers(report: SubspaceReport) -> tuple[Number, ...]:
     """Return the numbers of the summary."""
-    top = f"up to {report.shown.top_hz:g} Hz"
+    top = f"up to {report.shown.top_hz:.3g} Hz"
     numbers = [
         Number(f"{_short(report.uncertainty_db())} dB", f"95 % confidence by subspace, {top}")
     ]
@@ -196,16 +228,17 @@ def subspace_sections(report: SubspaceReport) -> tuple[Section, ...]:
     for number, (name, curves) in enumerate(report.ratios.items(), start=1):
         first, second = name.split(" / ")
         against = "the simulator's truth" if second == "truth" else _METHODS[second]
-        picture = deviation(curves, report.signals, bounds=ACCURACY, shown=report.shown)
-        error = error_text(largest(curves, report.shown))
+        picture = deviation(curves, report.signals, bounds=ACCURACY, shown=report.compared(name))
+        compared = report.compared(name)
+        error = error_text(largest(curves, compared))
         parts.append(
             Picture(
                 f"subspace-agreement-{number}",
                 to_svg(picture),
                 f"Error of {first} against {second} in dB and degrees on the diagonal.",
                 f"{_upper(_METHODS[first])} against {against}: up to "
-                f"{report.shown.top_hz:g} Hz {error} at most; "
-                f"{bounds_text(curves, ACCURACY, report.shown)}.",
+                f"{compared.top_hz:.3g} Hz {error} at most; "
+                f"{bounds_text(curves, ACCURACY, compared)}.",
             )
         )
     parts += [_differences_table(report), _modes_table(report), _fits_table(report)]
@@ -226,34 +259,60 @@ def _spectrum(report: SubspaceReport) -> Spectrum:
 
 def _comparison(report: SubspaceReport, name: str) -> str:
     first, second = name.split(" / ")
-    error = error_text(largest(report.ratios[name], report.shown))
+    compared = report.compared(name)
+    error = error_text(largest(report.ratios[name], compared))
     if second == "truth":
         return f"it is within {error} of the simulator's truth"
-    return f"{_METHODS[first]} differs from it by at most {error}"
+    return f"{_METHODS[first]} differs from it by at most {error} up to {compared.top_hz:.3g} Hz"
 
 
 def _differences_table(report: SubspaceReport) -> Table:
     rows = []
     for name, curves in report.ratios.items():
         for label, curve in zip(report.labels, curves, strict=True):
-            worst = worst_on_diagonal(curve, report.shown)
+            compared = report.compared(name)
+            worst = worst_on_diagonal(curve, compared)
             cells = (error_text((w.decibel, w.degree), ", ") for w in worst)
-            rows.append((name.replace(" / ", " against "), label, *cells))
+            span = f"{compared.bottom_hz:.3g} to {compared.top_hz:.3g}"
+            rows.append((name.replace(" / ", " against "), label, span, *cells))
     diagonal = [report.signals.path(i, i) for i in range(min(report.signals.shape))]
-    span = f"{report.shown.bottom_hz:g} to {report.shown.top_hz:g} Hz"
-    head = ("compared", "beam", *diagonal)
-    return Table(f"Largest differences from {span}", head, tuple(rows), labels=2)
+    head = ("compared", "beam", "Hz", *diagonal)
+    return Table("Largest differences", head, tuple(rows), labels=3)
+
+
+def _known(
+    grey: GreyBox | None, points: Sequence[ClosedLoopPoint]
+) -> tuple[tuple[tuple[float, Origin], ...], ...]:
+    if grey is None or grey.loop is None:
+        return ()
+    places = {place.beam_m: place.schedule for place in places_of(grey, points)}
+    if not all(p.beam_m in places for p in points):
+        return ()
+    return tuple(natural_modes(grey.loop.fit.plant, places[p.beam_m]) for p in points)
 
 
 def _modes_table(report: SubspaceReport) -> Table:
     rows = []
-    for model, label in zip(report.models, report.labels, strict=True):
+    for number, (model, label) in enumerate(zip(report.models, report.labels, strict=True)):
         m = model.modes
+        names = _origins(m.frequency_hz, report.known[number]) if report.known else ()
         for k in range(len(m.frequency_hz)):
             frequency = interval(m.frequency_hz[k], m.frequency_se_hz[k])
-            rows.append((label, frequency, interval(m.damping[k], m.damping_se[k])))
-    head = ("beam", "frequency Hz", "damping ζ")
+            damping = interval(m.damping[k], m.damping_se[k])
+            rows.append((label, frequency, damping, *names[k : k + 1]))
+    head = ("beam", "frequency Hz", "damping ζ", *(["belongs to"] if report.known else []))
     return Table("Modes by the subspace method, with 95 % intervals", head, tuple(rows))
+
+
+def _origins(found_hz: Array, known: Sequence[tuple[float, Origin]]) -> list[str]:
+    """Return what each mode belongs to: the nearest known one, each of which counts once."""
+    apart = np.abs(np.log(found_hz[:, None] / np.array([f for f, _ in known])))
+    names = ["" for _ in found_hz]
+    pairs = np.transpose(linear_sum_assignment(apart)).tolist()
+    for k, j in pairs:
+        if apart[k, j] < _SAME_MODE:
+            names[k] = _ORIGINS[known[j][1]]
+    return names
 
 
 def _fits_table(report: SubspaceReport) -> Table:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from .style import DOUBTFUL, LineStyle
 
@@ -99,27 +100,50 @@ class Range:
         return self.high_hz if self.valid_to_hz is None else min(self.valid_to_hz, self.high_hz)
 
 
-RIG = Range(1.0, 100.0, 64.0, 1.0)
-"""Range of the paper's figures, and its comparisons, up to about 400 rad/s."""
 _AROUND = 10.0
 """A figure shows a decade on both sides of the resonances."""
+_DETERMINED = 0.02
+"""Standard deviation over the response (0.17 dB) up to which a comparison tells something."""
+_NEIGHBOURS, _GAP = 5, 3.0
+"""Frequencies that are judged together, and ratio of two beyond which there is a gap."""
 
 
-def shown_range(
-    low_hz: float, high_hz: float, signals: SignalLabels, modes_hz: Sequence[float] = ()
-) -> Range:
-    """Return a decade below and above the modes, within the data; the data without modes.
-
-    Comparisons evaluate the paper's range for the rig's signals, and all that is shown for others.
-    """
-    rig = signals.output_names == ("psi", "theta", "z")
+def shown_range(low_hz: float, high_hz: float, modes_hz: Sequence[float] = ()) -> Range:
+    """Return a decade below and above the modes, within the data; the data without modes."""
     known = [f for f in modes_hz if np.isfinite(f) and f > 0]
     if not known:
-        return RIG if rig else Range(low_hz, high_hz)
+        return Range(low_hz, high_hz)
     low, high = max(low_hz, min(known) / _AROUND), min(high_hz, _AROUND * max(known))
+    return Range(low, high) if low < high else Range(low_hz, high_hz)
+
+
+def determined(shown: Range, measured: Sequence[Curve], top_hz: float = np.inf) -> Range:
+    """Return the range, evaluated where all measured responses are clear of their noise.
+
+    That is from the first to the last frequency at which the diagonal is determined, without wide
+    gaps between; all of the range if there is none. top_hz: a limit that is known.
+    """
+    low, high = shown.low_hz, min(shown.high_hz, top_hz)
+    for curve in measured:
+        f = curve.freq_hz
+        part = (f >= shown.low_hz) & (f <= shown.high_hz)
+        if curve.deviation is None or np.sum(part) < _NEIGHBOURS:
+            continue
+        own = np.arange(min(curve.response.shape[1:]))
+        share = curve.deviation[:, own, own] / np.abs(curve.response[:, own, own])
+        worst = median_filter(np.max(share[part], axis=1), _NEIGHBOURS, mode="nearest")
+        clear = f[part][worst <= _DETERMINED]
+        if len(clear):
+            runs = np.split(clear, np.flatnonzero(clear[1:] > _GAP * clear[:-1]) + 1)
+            longest = max(runs, key=lambda run: run[-1] / run[0])
+            low, high = max(low, float(longest[0])), min(high, float(longest[-1]))
     if not low < high:
-        low, high = low_hz, high_hz
-    return Range(low, high, RIG.valid_to_hz, RIG.valid_from_hz) if rig else Range(low, high)
+        return shown
+    return replace(
+        shown,
+        valid_from_hz=low if low > shown.low_hz else None,
+        valid_to_hz=high if high < shown.high_hz else None,
+    )
 
 
 _MOST_POINTS = 400

@@ -14,7 +14,7 @@ from levid.report.commissioning.platform_drawing import Drawn, platform_drawing
 from levid.report.figures.bode import bode_magnitude
 from levid.report.plotting.figure_to_svg import Picture, to_svg
 from levid.report.plotting.html_page import Section, Steps, Table, Text, write_report
-from levid.report.plotting.labelled_frequency_responses import RIG_SIGNALS, Curve
+from levid.report.plotting.labelled_frequency_responses import RIG_SIGNALS, Curve, Range
 from levid.report.plotting.min_max_envelope import envelope, plot_envelope
 from levid.report.plotting.panel_grid import entry, new_grid
 from levid.report.plotting.style import PAGE, LineStyle, colour, drawing
@@ -23,6 +23,7 @@ RATE_HZ = 1000.0
 T_S = 5.0 + np.arange(40_000) / RATE_HZ
 UP, DOWN = (np.random.default_rng(k).normal(0, 20.0, len(T_S)) for k in (1, 2))
 DOWN[7_777] = 321.0
+SHOWN = Range(1.0, 100.0, 64.0, 1.0)
 FREQ_HZ = np.geomspace(1.0, 100.0, 200)
 BLUE, ORANGE = LineStyle(colour("blue")), LineStyle(colour("vermillion"), (5.0, 1.6))
 
@@ -47,7 +48,9 @@ def bode_figure():
     for k in range(3):
         response[:, k, k] = 1e-2 / (1 - (FREQ_HZ / 8.0) ** 2 + 0.1j * FREQ_HZ / 8.0)
     deviation = 0.05 * np.abs(response)
-    return bode_magnitude([Curve("left", BLUE, FREQ_HZ, response, deviation)], RIG_SIGNALS)
+    return bode_magnitude(
+        [Curve("left", BLUE, FREQ_HZ, response, deviation)], RIG_SIGNALS, shown=SHOWN
+    )
 
 
 def written(folder: Path) -> Path:
@@ -341,6 +344,7 @@ def test_a_band_is_read_with_the_line_that_it_belongs_to(tab, tmp_path):
             Curve("left", BLUE, FREQ_HZ, whole, 0.05 * np.abs(whole)),
         ],
         RIG_SIGNALS,
+        shown=SHOWN,
     )
     picture = Picture("bode", to_svg(figure), "a Bode diagram", "A Bode diagram.")
     tab.open(write_report(tmp_path, "Title", (Section("Figures", (picture,)),)).as_uri())

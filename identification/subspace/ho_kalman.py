@@ -13,7 +13,7 @@ from ...model.second_order import StateSpace
 from ..nonparametric.block_qr import BLOCK_ROWS
 from ..nonparametric.markov_parameters import MarkovEstimate, convolve
 from ..records.record import IdentificationError, Record
-from .hankel_operator import HankelOperator, HankelSvd, leading_svd
+from .hankel_operator import HankelOperator, HankelSvd, largest_singular_value, leading_svd
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def noise_level(
         error = core(markov.g + error) - exact
         scaled = error * (scaling.inputs / scaling.outputs[:, None])
         blocks = _blocks(error)
-        return float(leading_svd(HankelOperator(scaled[1:], blocks, blocks), 1).s[0])
+        return largest_singular_value(HankelOperator(scaled[1:], blocks, blocks))
 
     return level_of_chance(drawn)
 

@@ -7,7 +7,11 @@ import pytest
 
 from levid.identification.nonparametric.markov_parameters import MarkovEstimate, convolve
 from levid.identification.records.record import IdentificationError, Record
-from levid.identification.subspace.hankel_operator import HankelOperator, leading_svd
+from levid.identification.subspace.hankel_operator import (
+    HankelOperator,
+    largest_singular_value,
+    leading_svd,
+)
 from levid.identification.subspace.ho_kalman import (
     Scaling,
     decompose,
@@ -75,6 +79,17 @@ def test_leading_singular_triplets_equal_those_of_the_dense_matrix():
     overlap = np.abs(np.sum(found.U[:, :11] * U[:, :11], axis=0))
     np.testing.assert_allclose(overlap[ratio], 1.0, atol=1e-9)
     np.testing.assert_allclose(leading_svd(operator, 12).s, found.s, rtol=0, atol=0)
+
+
+def test_largest_singular_value_of_noise_is_that_of_the_dense_matrix():
+    noise = HankelOperator(np.random.default_rng(0).normal(size=(600, 3, 3)), 300, 300)
+    exact = np.linalg.svd(noise.dense(), compute_uv=False)[0]
+    assert 0.98 * exact < largest_singular_value(noise) <= exact * (1 + 1e-12)
+    # Of a matrix with few singular values it is exact.
+    h = _markov(*_system(3, 2, 2, seed=5), 201)
+    few = HankelOperator(h, 100, 100)
+    exact = np.linalg.svd(few.dense(), compute_uv=False)[0]
+    assert largest_singular_value(few) == pytest.approx(exact, rel=1e-9)
 
 
 def test_weighting_by_coloured_inputs_leaves_exact_data_exact():

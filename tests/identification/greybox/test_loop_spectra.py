@@ -28,6 +28,7 @@ from levid.identification.greybox.declared_model_from_config import declared_mod
 from levid.identification.greybox.fit_in_loop import FittedLoop, fit_in_loop
 from levid.identification.greybox.modes.lines_by_point import lines_by_point
 from levid.identification.greybox.modes.mode import Mode
+from levid.identification.greybox.modes.natural_modes import natural_modes
 from levid.identification.greybox.modes.sampled_response import (
     LinearPlant,
     continuous_response,
@@ -38,7 +39,7 @@ from levid.identification.loop_spectra.output_errors import (
     residual,
     without_transients,
 )
-from levid.identification.loop_spectra.residual_spectrum import split_residual
+from levid.identification.loop_spectra.residual_spectrum import split_residual, with_model_error
 from levid.identification.loop_spectra.spectral_lines import PointLines
 from levid.identification.nonparametric.frequency_response import ResponseEstimate
 from levid.identification.records.record import IdentificationError
@@ -162,6 +163,30 @@ def test_noise_and_model_error_are_told_apart(point: PointLines) -> None:
     assert np.max(z[np.abs(found.freq_hz - 200.0) > 30.0]) < 6.0
     assert np.all(found.clear_error[np.abs(point.freq_hz - 200.0) > 40.0] == 0.0)
     assert np.all(found.clear_error[np.abs(point.freq_hz - 200.0) < 10.0] > 0.0)
+
+
+def test_records_of_one_point_may_have_noise_of_different_size(point: PointLines) -> None:
+    F = len(point.freq_hz)
+    rng, sizes = np.random.default_rng(3), np.array([1.0, 2.0, 4.0])
+    residuals = [
+        s * (rng.normal(size=(F, 3)) + 1j * rng.normal(size=(F, 3))) / np.sqrt(2.0) for s in sizes
+    ]
+    found = split_residual(point, residuals)
+    # 1600 lines of 3 outputs determine a power to 1.4 %.
+    np.testing.assert_allclose(found.levels, sizes**2 / np.mean(sizes**2), rtol=0.06)
+    for covariance, size in zip(with_model_error(point, found, 0.0), sizes, strict=True):
+        assert np.median(np.einsum("fii->fi", covariance).real) == pytest.approx(size**2, rel=0.06)
+
+
+def test_each_natural_frequency_says_what_it_belongs_to(bent: FittedLoop) -> None:
+    """A body on the structure resonates above its own frequency on a base at rest."""
+    found = natural_modes(bent.fit.plant, {"x_b": 0.1, "v_b": 0.0, "a_b": 0.0})
+    A = PLATFORM.matrices(0.1)[0]
+    poles = np.linalg.eigvals(A)
+    true = np.sort(np.abs(poles[poles.imag > 0])) / (2.0 * np.pi)
+    # A bearing that slips is softer than at rest.
+    np.testing.assert_allclose([f for f, _ in found], true, rtol=1e-2)
+    assert [origin for _, origin in found] == ["declared"] * 3 + ["attached", "bending"]
 
 
 def test_vector_fitting_finds_modes_of_a_response() -> None:

@@ -25,6 +25,7 @@ from levid.report.plotting.labelled_frequency_responses import (
     Curve,
     Range,
     SignalLabels,
+    determined,
     inside,
     ratio,
     symbol,
@@ -182,6 +183,21 @@ def test_panels_with_unreliable_curves_only_are_hatched():
             drawing = draw(figure, signals, shown=RIG)
             assert any(p.get_hatch() for p in drawing.axes[0].patches) == hatched
             assert "not to be trusted" in drawn(drawing)
+
+
+def test_responses_are_compared_where_they_are_clear_of_their_noise():
+    f = np.geomspace(0.5, 400.0, 200)
+    share = np.where((f < 1.0) | (f > 80.0), 0.1, 0.005)
+    share[(f > 2.9) & (f < 3.3)] = 0.1  # a resonance
+    share[np.argmin(np.abs(f - 200.0))] = 0.001  # by chance
+    size = np.abs(resonances(f))
+    measured = curve(freq_hz=f, deviation=share[:, None, None] * size)
+    found = determined(Range(0.5, 400.0), [measured])
+    assert found.bottom_hz == pytest.approx(1.0, rel=0.1)
+    assert found.top_hz == pytest.approx(80.0, rel=0.1)
+    assert determined(Range(0.5, 400.0), [measured], 50.0).top_hz == 50.0
+    noise = curve(freq_hz=f, deviation=size)
+    assert determined(Range(0.5, 400.0), [noise]) == Range(0.5, 400.0)
 
 
 def test_singular_values_mark_the_order_and_the_noise():

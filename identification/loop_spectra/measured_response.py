@@ -26,36 +26,53 @@ _BESIDE = 20
 
 
 def measured_response(
-    records: Sequence[LoopSignals], Ts_s: float, top_hz: float
+    records: Sequence[LoopSignals], Ts_s: float, top_hz: float, rows: int | None = None
 ) -> ResponseEstimate:
-    """Return P (F, n, p) up to top_hz, from records of one point and length.
+    """Return P (F, n, p) up to top_hz, from records of one point.
 
     Both the outputs' and the inputs' responses to the excitation are measured, so feedback does not
-    bias P: by local polynomials for noise, line by line for periodic excitation.
+    bias P: by local polynomials for noise, line by line for periodic excitation. rows: length to
+    whose lines the frequencies belong, None for that of the shortest record.
 
-    Raises IdentificationError if the records do not excite every input on its own.
+    Raises IdentificationError if the records do not excite every input on its own, or are periodic
+    and of different lengths.
     """
     v = [r.v - r.v.mean(axis=0) for r in records]
     p = v[0].shape[1]
     if set().union(*(r.excited for r in records)) != set(range(p)):
         raise IdentificationError("expected an excitation of every input")
     signals = [np.hstack([r.y, r.u - r.v]) for r in records]
-    rows = len(records[0].y)
-    last = int(top_hz * rows * Ts_s)
-    V = np.array([fft.rfft(x, axis=0)[:last] for x in v])
-    power = np.sum(np.abs(V) ** 2, axis=(0, 2))
-    excited = np.flatnonzero(power > _EXCITED * power.max())
-    excited = excited[excited >= 1]
-    if len(excited) >= _SPARSE * last:
+    lengths = {len(x) for x in v}
+    rows = rows or min(lengths)
+    excited = [_excited_lines(x, int(top_hz * len(x) * Ts_s)) for x in v]
+    dense = [len(e) >= _SPARSE * top_hz * len(x) * Ts_s for x, e in zip(v, excited, strict=True)]
+    if any(dense) and not all(dense):  # noise alone, or the periodic records alone
+        of_noise = [r for r, is_dense in zip(records, dense, strict=True) if is_dense]
+        others = [r for r, is_dense in zip(records, dense, strict=True) if not is_dense]
+        enough = set().union(*(r.excited for r in of_noise)) == set(range(p))
+        return measured_response(of_noise if enough else others, Ts_s, top_hz, rows)
+    if all(dense):
+        last = int(top_hz * rows * Ts_s)
         step = max(1, round(last / _POINTS))
         loop = local_polynomial(v, signals, Ts_s, np.arange(3 * step, last, step) / (rows * Ts_s))
-    elif len(records) >= p:
-        loop = _line_by_line(V, signals, excited, Ts_s)
-    else:
+    elif len(records) < p:
         raise IdentificationError(
             f"expected a periodic record for each of {p} inputs, found {len(records)}"
         )
+    elif len(lengths) > 1:
+        raise IdentificationError(
+            f"expected periodic records of one length, found {sorted(lengths)} rows"
+        )
+    else:
+        lines = np.unique(np.concatenate(excited))
+        loop = _line_by_line(v, signals, lines, int(top_hz * rows * Ts_s), Ts_s)
     return plant_from_joint_response(loop, records[0].y.shape[1])
+
+
+def _excited_lines(v: Array, last: int) -> NDArray[np.int_]:
+    power = np.sum(np.abs(fft.rfft(v, axis=0)[:last]) ** 2, axis=1)
+    lines = np.flatnonzero(power > _EXCITED * np.max(power, initial=0.0))
+    return np.asarray(lines[lines >= 1])
 
 
 def last_significant(responses: Sequence[ResponseEstimate], top_hz: float) -> float:
@@ -70,10 +87,15 @@ def last_significant(responses: Sequence[ResponseEstimate], top_hz: float) -> fl
 
 
 def _line_by_line(
-    V: Complex, signals: Sequence[Array], excited: NDArray[np.int_], Ts_s: float
+    v: Sequence[Array],
+    signals: Sequence[Array],
+    excited: NDArray[np.int_],
+    lines: int,
+    Ts_s: float,
 ) -> ResponseEstimate:
-    """Return the response (F, m, p) at excited lines, from V (R, lines, p) of R records."""
-    rows, lines = len(signals[0]), V.shape[1]
+    """Return the response (F, m, p) at the excited ones of the first lines of all records."""
+    rows = len(signals[0])
+    V = np.array([fft.rfft(x, axis=0)[:lines] for x in v])
     Y = np.array([fft.rfft(x - x.mean(axis=0), axis=0)[:lines] for x in signals])
     quiet = np.setdiff1d(np.arange(1, lines), excited)
     beside = np.zeros((lines, Y.shape[2]))

@@ -122,9 +122,9 @@ class _Search:
         signals = [self._scaled(r) for r in records]
         groups = _by_length(signals)
         top_hz = HIGHEST_SHARE / first.Ts_s
-        self.top_hz = last_significant([_measured(groups, first.Ts_s, top_hz)], top_hz)
+        self.top_hz = last_significant([measured_response(signals, first.Ts_s, top_hz)], top_hz)
         # Again, as dense as the band allows.
-        response = _measured(groups, first.Ts_s, self.top_hz)
+        response = measured_response(signals, first.Ts_s, self.top_hz)
         assert first.controller is not None
         points = [
             point_lines(
@@ -324,19 +324,6 @@ def _by_length(signals: Sequence[LoopSignals]) -> list[list[LoopSignals]]:
     """Return the records of one length together, the longest first."""
     lengths = sorted({len(s.y) for s in signals}, reverse=True)
     return [[s for s in signals if len(s.y) == n] for n in lengths]
-
-
-def _measured(
-    groups: Sequence[Sequence[LoopSignals]], Ts_s: float, top_hz: float
-) -> ResponseEstimate:
-    """Return the response from the first records of one length that give it."""
-    for k, group in enumerate(groups):
-        try:
-            return measured_response(group, Ts_s, top_hz)
-        except IdentificationError:
-            if k == len(groups) - 1:
-                raise
-    raise AssertionError
 
 
 def _of_core(response: ResponseEstimate, empty: IdentifiedPlant, top_hz: float) -> ResponseEstimate:

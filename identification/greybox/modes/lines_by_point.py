@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -43,10 +43,12 @@ def measured_responses(
 ) -> tuple[ResponseEstimate, ...]:
     """Return P (F, n, p) at each point whose records excite every input, at common frequencies."""
     excited = [e for e in experiments if e.loop is not None and np.any(np.ptp(e.loop.v, axis=0))]
+    rows = min((len(e.y) for e in excited), default=0)
     found = []
-    for group in by_point(excited):
+    for group in _grouped(excited, _at_one_point):
+        some = [signals(e) for e in group]
         try:
-            found.append(measured_response([signals(e) for e in group], group[0].Ts_s, top_hz))
+            found.append(measured_response(some, group[0].Ts_s, top_hz, rows))
         except IdentificationError:
             continue  # too few records, or too short: other points tell
     longest = max((len(r.freq_hz) for r in found), default=0)
@@ -55,9 +57,17 @@ def measured_responses(
 
 def by_point(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
     """Return records at one point of the schedule, of one length and rate, together."""
+    return _grouped(
+        experiments, lambda one, other: len(one.y) == len(other.y) and _at_one_point(one, other)
+    )
+
+
+def _grouped(
+    experiments: Sequence[Experiment], together: Callable[[Experiment, Experiment], bool]
+) -> list[list[Experiment]]:
     groups: list[list[Experiment]] = []
     for e in experiments:
-        same = next((g for g in groups if _together(g[0], e)), None)
+        same = next((g for g in groups if together(g[0], e)), None)
         if same is None:
             groups.append([e])
         else:
@@ -65,10 +75,8 @@ def by_point(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
     return groups
 
 
-def _together(one: Experiment, other: Experiment) -> bool:
-    if (len(one.y), one.Ts_s) != (len(other.y), other.Ts_s):
-        return False
-    return all(
+def _at_one_point(one: Experiment, other: Experiment) -> bool:
+    return one.Ts_s == other.Ts_s and all(
         abs(one.schedule[name].mean() - other.schedule[name].mean()) <= SAME_POINT * one.spans[name]
         for name in one.schedule
         if name not in one.rates

@@ -171,6 +171,24 @@ def test_modes_of_a_platform_that_bends_are_states(excitation):
     assert off.max() < 4.5
 
 
+def test_records_may_have_different_lengths(rig):
+    cut = [r.rows(0, len(r.y) - 37 * k) for k, r in enumerate(rig.records([0.1], 1e3, 12.0))]
+    found = plant_by_spectra(cut, lag_pole=np.exp(-1e-3 / rig.LAG_S))
+    assert found.order == 6
+    P = response_with_errors(found.plant, found.covariance, RIG_HZ)
+    true = rig.sampled_plant(0.1, 1e-3).frequency_response(RIG_HZ)
+    assert np.all(np.abs(P.H - true) < 4.5 * P.standard_deviation)
+
+
+def test_noise_and_multisines_at_one_point_are_used_together():
+    one, other = (records_of(Platform(), 3, kind, 0.0) for kind in ("noise", "multisine"))
+    found = plant_by_spectra([*one, *other], lag_pole=np.exp(-1e-3 / NOMINAL["lag"]))
+    assert found.order == 6
+    P = response_with_errors(found.plant, found.covariance, RIG_HZ)
+    off = np.abs(P.H - Platform().sampled_response(0.0, RIG_HZ, 1e-3)) / P.standard_deviation
+    assert off.max() < 4.5
+
+
 def test_an_order_that_is_given_is_kept(rig):
     records = rig.records([0.1], 1e3, 4.0)
     assert plant_by_spectra(records, 8).order == 8

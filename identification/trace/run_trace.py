@@ -8,6 +8,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,8 @@ _FIRST_S = 2.0 * SearchOptions.block_s
 _FIRST_RECORDS = SearchOptions().fewest_blocks
 _LOUDER = (SearchOptions().inexact ** -2, 1.0 / SearchOptions().inexact)
 """Factors on the force noise: large for a poor initial model, then smaller."""
+MOST_S = 600.0
+"""Seconds after which a trace looks for no further effect, where nobody chooses."""
 _AT_A_TIME = SearchOptions.at_a_time
 """Candidates that a worker is asked about at once where some records only are asked."""
 
@@ -85,15 +88,19 @@ def trace(
     workers: Workers,
     progress: Progress,
     options: SearchOptions | None = None,
+    most_s: float = MOST_S,
 ) -> Trace:
     """Find the effects that the model of `config` lacks, and fit the model with them.
+
+    After `most_s` from the beginning no further effect is looked for; a note says so.
 
     Raises IdentificationError without records, for too little data, readings without noise, or
     records that the model does not fit.
     """
     # Each process uses one core: BLAS threads would compete for the same cores.
     with threadpool_limits(1), singular_equations("the search for effects"):
-        return _trace(logs, config, effects, workers, progress, options or SearchOptions())
+        options = options or SearchOptions()
+        return _trace(logs, config, effects, workers, progress, options, most_s)
 
 
 def refit(
@@ -131,7 +138,9 @@ def _trace(
     workers: Workers,
     progress: Progress,
     options: SearchOptions,
+    most_s: float,
 ) -> Trace:
+    ends_s = perf_counter() + most_s
     begun = _begin(logs, config, workers, progress)
     declared, logged, places, notes = begun.declared, begun.logged, begun.places, begun.notes
     known = {p.effect.identity for p in declared.placed}
@@ -146,7 +155,9 @@ def _trace(
     # Without a lag, a law is the same before and behind it; this search has each law once.
     named = [e for e in table.named if not e.before_lag or declared.model.lagging]
     named = [e for e in named if not e.beside]
-    found = search(start, named, table.free, logged, progress, options)
+    found = search(start, named, table.free, logged, progress, options, ends_s)
+    if perf_counter() > ends_s:
+        notes = (*notes, f"the search ended after {most_s / 60.0:.3g} min; this is what it found")
     if start is not declared:
         point = replace(found.point, disturbance=declared.disturbance)
         found = replace(found, point=point)

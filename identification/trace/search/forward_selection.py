@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -57,10 +58,12 @@ def grown(
     records: Records,
     progress: Progress,
     options: SearchOptions,
+    ends_s: float = np.inf,
 ) -> Grown:
     """Add effects while held-out records confirm them.
 
     It ends with `most` effects more, or with held-out errors of `enough` times what noise leaves.
+    No round begins after `ends_s` of `time.perf_counter`.
     Every round ranks all candidates by regression, fits and tests those that explain most along the
     trajectories of the point, and fits the best of these with the whole model. It is taken if it
     passes the test again.
@@ -70,7 +73,7 @@ def grown(
     queue = CandidateQueue(point.placed)
     candidates = queue.candidates(effects)
     guides, most = 0, most + len(point.placed)
-    while error.squares > enough * error.floor:
+    while error.squares > enough * error.floor and perf_counter() < ends_s:
         near = error.squares < options.explained**2 * error.floor
         explained = point.disturbance.measured and near
         found, train, criterion = _screened(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 
@@ -29,6 +30,7 @@ def otherwise(
     records: Records,
     progress: Progress,
     options: SearchOptions,
+    ends_s: float = np.inf,
 ) -> Grown:
     """Return a better result with one accepted effect replaced by a rival, else the given one.
 
@@ -47,13 +49,16 @@ def otherwise(
     ]
     best, least = found, _HALF * (found.error.squares - found.error.floor)
     for number, rival in ways[: options.patience]:
+        if perf_counter() > ends_s:
+            break
         at = options.share_done(len(found.rounds))
         progress(f"trying {rival.effect.name} instead", at)
         try:
             begun = _instead(found, number, rival, records, options)
             if begun is None:
                 continue
-            way = grown(begun, effects, most, 0.0, records, _staying(progress, at), options)
+            there = _staying(progress, at)
+            way = grown(begun, effects, most, 0.0, records, there, options, ends_s)
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
             continue  # it leads nowhere, and what was found stays
         left = way.error.squares - way.error.floor

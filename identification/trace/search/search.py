@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,11 +52,13 @@ def search(
     records: Records,
     progress: Progress,
     options: SearchOptions,
+    ends_s: float = np.inf,
 ) -> Found:
     """Search for effects by forward selection, with confirmation on held-out records.
 
     `point` is at its best already. Where much is left in the end another way is tried, and then
-    free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
+    free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped. No
+    step begins after `ends_s` of `time.perf_counter`.
     """
     error = records.held_error(point)
     if not np.isfinite(error.floor) or np.isnan(error.squares):
@@ -65,11 +68,11 @@ def search(
             "trace an unstable plant in closed loop"
         )
     begun = Grown(point, error, ())
-    found = grown(begun, effects, options.most_effects, 0.0, records, progress, options)
+    found = grown(begun, effects, options.most_effects, 0.0, records, progress, options, ends_s)
     if found.much_left(options):
         more = options.most_effects - len(found.point.placed) + len(point.placed)
-        found = otherwise(found, effects, more, records, progress, options)
-    if found.much_left(options):
+        found = otherwise(found, effects, more, records, progress, options, ends_s)
+    if found.much_left(options) and perf_counter() < ends_s:
         described = grown(
             found._replace(rounds=()),
             unknown,
@@ -78,6 +81,7 @@ def search(
             records,
             progress,
             options,
+            ends_s,
         )
         rounds = (*found.rounds, *described.rounds)
         found = found._replace(rounds=rounds)

@@ -104,6 +104,12 @@ def traced(logs: list[Path], config: ModelConfig = CONFIG) -> Trace:
     return trace(logs, config, all_effects, Alone(config), lambda *_: None)
 
 
+def test_a_search_without_time_says_what_it_has(logs: dict[str, list[Path]]) -> None:
+    found = trace(logs["cubic"], CONFIG, all_effects, Alone(CONFIG), lambda *_: None, most_s=0.0)
+    assert found.found.point.placed == ()
+    assert any("the search ended after 0 min" in note for note in found.notes)
+
+
 @pytest.fixture(scope="module")
 def traces(logs: dict[str, list[Path]]) -> dict[str, Trace]:
     return {name: traced(paths) for name, paths in logs.items()}

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from .loop_spectra.spectral_lines import HIGHEST_SHARE
 from .nonparametric import frequency_response
 from .nonparametric.markov_parameters import (
     ESTIMATORS,
@@ -36,7 +37,7 @@ from .subspace.plant_from_loop import IdentifiedPlant, closed_loop, plant_from_l
 
 Array = NDArray[np.float64]
 
-LOWEST_HZ, HIGHEST_SHARE, PER_DECADE = 0.5, 0.4, 67
+LOWEST_HZ, PER_DECADE = 0.5, 67
 """The logarithmic frequency grid of responses, up to a share of the sampling rate; a segment of
 10 s resolves the lowest well."""
 LEAST_RESPONSES = 3
@@ -67,7 +68,7 @@ def identify_closed_loop(
     assert controller is not None
     Ts_s = point.records[0].Ts_s
     delay = point.records[0].leading_zeros
-    lag_pole = float(np.exp(-Ts_s / options.lag_s)) if options.lag_s > 0 else 0.0
+    lag_pole = options.lag_pole(Ts_s)
     training = [r.rows(0, len(r.y) - options.holdout_rows(len(r.y))) for r in point.records]
     scaling = Scaling.of(training)
     ladder = _lengths(options, training)

@@ -36,7 +36,7 @@ def subspace_plant(records: Sequence[Record], options: Options) -> SpectralPlant
     return plant_by_spectra(
         [r.rows(0, len(r.y) - options.holdout_rows(len(r.y))) for r in records],
         None if options.order is None else options.order - int(np.sum(controller.ki > 0)),
-        float(np.exp(-records[0].Ts_s / options.lag_s)) if options.lag_s > 0 else 0.0,
+        options.lag_pole(records[0].Ts_s),
         least_order=STATES_A_DOF * len(controller.ki),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import exp
 
 from .nonparametric.markov_parameters import ESTIMATORS
 from .records.record import IdentificationError
@@ -57,6 +58,10 @@ class Options:
                 raise IdentificationError(
                     f"{name}: expected a positive duration in s, found {value:g}"
                 )
+
+    def lag_pole(self, Ts_s: float) -> float:
+        """Return the pole of the sampled lag, 0 without one."""
+        return exp(-Ts_s / self.lag_s) if self.lag_s > 0 else 0.0
 
     def holdout_rows(self, rows: int) -> int:
         """Return the number of held-out rows in a record of `rows` rows."""

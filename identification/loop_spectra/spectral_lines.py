@@ -12,6 +12,10 @@ from scipy import fft
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+HIGHEST_SHARE = 0.4
+"""Highest line over the sampling rate."""
+SEARCH_LINES = 800
+"""Lines of a record in a search; its last steps use all."""
 FIRST_LINE = 3
 """Lines below it hold what drifts during the record."""
 _SMOOTHED_LINES = 41

@@ -27,7 +27,13 @@ from ..loop_spectra.residual_spectrum import (
     split_residual,
     with_model_error,
 )
-from ..loop_spectra.spectral_lines import LEAST_LINES, LoopSignals, point_lines
+from ..loop_spectra.spectral_lines import (
+    HIGHEST_SHARE,
+    LEAST_LINES,
+    SEARCH_LINES,
+    LoopSignals,
+    point_lines,
+)
 from ..nonparametric.frequency_response import ResponseEstimate
 from ..records.record import IdentificationError, PiController, Record
 from .fit_state_space import Directions, FitStateSpace, SampledPlant
@@ -39,10 +45,6 @@ from .plant_from_loop import IdentifiedPlant
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-HIGHEST_SHARE = 0.4
-"""Highest line over the sampling rate."""
-SEARCH_LINES = 800
-"""Lines of a record in the search; the last steps use all."""
 SURE = 10.0
 """Least difference of the Bayesian information criterion that counts as very strong evidence (Kass
 and Raftery 1995)."""

@@ -169,7 +169,17 @@ def subspace_words(report: SubspaceReport) -> tuple[Text, ...]:
         f"interval of its diagonal is {_short(report.uncertainty_db())} dB or less"
     )
     compared = [f"; {_comparison(report, name)}" for name in report.ratios]
-    return (Text(f"{text}{''.join(compared)}. {use}"),)
+    return (Text(f"{text}{''.join(compared)}. {use}{_rest(report)}"),)
+
+
+def _rest(report: SubspaceReport) -> str:
+    worst = max((m.found for m in report.models), key=lambda found: found.worst)
+    if worst.white:
+        return ""
+    return (
+        f" At {worst.worst_hz:.3g} Hz a part of the response is no mode: the plant is not linear "
+        "there, or differs between the records; the intervals include it."
+    )
 
 
 def _certainty(report: SubspaceReport) -> str:

@@ -22,7 +22,7 @@ from ...loop_spectra.residual_spectrum import (
     split_residual,
     with_model_error,
 )
-from ...loop_spectra.spectral_lines import PointLines
+from ...loop_spectra.spectral_lines import HIGHEST_SHARE, SEARCH_LINES, PointLines
 from ...nonparametric.frequency_response import ResponseEstimate
 from ..declared_model_from_config import declared_model
 from ..experiment.experiment_from_log import Experiment
@@ -39,10 +39,6 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Progress = Callable[[str, float], None]
 
-HIGHEST_SHARE = 0.4
-"""Highest line over the sampling rate."""
-SEARCH_LINES = 800
-"""Lines of a record in the search; the last steps use all."""
 KNOWN_TO = 0.4
 """Standard deviation of a declared value that the records do not determine, over what makes it
 worth fitting: a fifth of the value where it has a sign."""

@@ -85,6 +85,13 @@ def test_unreliable_model_is_not_recommended(points):
     assert unreliable.recommended is not unreliable.subspace.plant
 
 
+def test_a_residual_that_is_not_white_is_said(points):
+    found = replace(points[0].subspace.found, worst=100.0, worst_hz=126.75)
+    nonlinear = replace(points[0], subspace=replace(points[0].subspace, found=found))
+    (words,) = subspace_words(subspace_report([nonlinear], RIG_SIGNALS))
+    assert "At 127 Hz a part of the response is no mode" in words.text
+
+
 def test_positions_without_a_model_are_left_out(points):
     without = replace(points[0], subspace=None)
     assert len(subspace_report([without, points[0]], RIG_SIGNALS).models) == 1

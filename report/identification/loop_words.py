@@ -35,14 +35,15 @@ def loop_answer(loop: FittedLoop, name: str, rigid_hz: float, noise_most: float)
         )
     else:
         valid = f"up to {_with_bounds(loop)} Hz, where its error passes {share} of the response"
+    if loop.over_noise > noise_most:
+        beside = f"even with {_listed(modes)}, " if modes else ""
+        return (
+            f"The fitted model '{name}' does not explain these records: {beside}{times}. "
+            f"It is valid {valid}.{_left(loop)}"
+        )
     lacks = f" It lacks {_count(modes)}: {_listed(modes)}." if modes else ""
     if modes:
         times = f"with {'it' if len(modes) == 1 else 'them'} {times}"
-    if loop.over_noise > noise_most:
-        return (
-            f"The fitted model '{name}' does not explain these records down to the noise. It is "
-            f"valid {valid}.{lacks} {times[0].upper()}{times[1:]}.{_left(loop)}"
-        )
     return (
         f"Use the fitted model '{name}' {valid}.{lacks} {times[0].upper()}{times[1:]}.{_left(loop)}"
     )
@@ -117,8 +118,8 @@ def _left(loop: FittedLoop) -> str:
         return ""
     share = 100.0 * loop.unexplained
     return (
-        f" At {loop.fit.worst_hz:.3g} Hz {share:.2g} % of the response comes neither from the "
-        "model nor from a mode: the plant is not linear there, or differs between the records."
+        f" At {loop.fit.worst_hz:.3g} Hz {share:.2g} % of the response comes neither from it nor "
+        "from a mode: the plant is not linear there, or not the same in all records."
     )
 
 

@@ -201,8 +201,10 @@ def test_at_most_three_rivals_are_tried_and_failed_fits_are_ignored(
 def test_progress_never_decreases(
     starting_points: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def grown(so_far: Grown, _: object, most: int, *rest: Any) -> Grown:
-        rest[-2]("screening", 0.15)
+    def grown(
+        so_far: Grown, effects: Any, most: int, gain: float, records: Any, progress: Any, *_: Any
+    ) -> Grown:
+        progress("screening", 0.15)
         return so_far
 
     monkeypatch.setattr(replace_effect_by_rival, "grown", grown)

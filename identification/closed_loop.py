@@ -20,7 +20,7 @@ from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
 from .records.persistence_of_excitation import PoorExcitationError, check_excitation
 from .records.record import OperatingPoint, Record
 from .results import ClosedLoopPoint
-from .subspace.delay_removal import without_delay
+from .subspace.delay_removal import change_without_delay, without_delay
 from .subspace.held_out_simulation import hold_out, settled_row
 from .subspace.ho_kalman import Decomposition, Scaling, decompose, noise_level, realise
 from .subspace.model_checks import (
@@ -83,11 +83,10 @@ def identify_closed_loop(
         if method not in markov:
             markov[method] = estimate_markov(training, length, method)
 
-        def core(g: Array) -> Array:
-            return without_delay(g, delay, lag_pole, controller, Ts_s)
-
-        decompositions[method] = decompose(core(markov[method].g), Ts_s, scaling)
-        levels[method] = noise_level(markov[method], training, core, scaling)
+        known = markov[method].g, delay, lag_pole, controller, Ts_s
+        decompositions[method] = decompose(without_delay(*known), Ts_s, scaling)
+        change = change_without_delay(*known)
+        levels[method] = noise_level(markov[method], training, change, scaling)
         progress(0.35 * (n + 1))
     decomposition = decompositions[options.markov]
     shown = int(np.sum(decomposition.singular_values > levels[options.markov]))

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from threadpoolctl import threadpool_limits
-
 from .closed_loop import identify_closed_loop, wanted_rows
 from .closed_loop_subspace import checked, subspace_plant
 from .open_loop import identify_open_loop
 from .options import Options
+from .record_threads import record_threads
 from .records.drop_short_records import drop_short_records, left_out_remarks
 from .records.persistence_of_excitation import PoorExcitationError, check_inputs
 from .records.record import (
@@ -54,27 +53,37 @@ def identify(
     first = points[0].records[0]
     for point in points:
         _check_same_signals(first, point.records[0])
-    results: list[ClosedLoopPoint | OpenLoopPoint] = []
-    errors: dict[str, IdentificationError] = {}
-    for number, point in enumerate(points):
-        where = describe_position(point.beam_m)
+    done = dict.fromkeys(range(len(points)), 0.0)
 
-        def report_share(share: float, number: int = number, where: str = where) -> None:
+    def identified(number: int) -> ClosedLoopPoint | OpenLoopPoint | IdentificationError:
+        point = points[number]
+
+        def report_share(share: float) -> None:
+            done[number] = share
             if progress is not None:
-                progress(where, (number + share) / len(points))
+                progress(describe_position(point.beam_m), sum(done.values()) / len(points))
 
         report_share(0.0)
         method = identify_open_loop if first.controller is None else _identify_closed_loop_point
         try:
-            # The matrices are small: several BLAS threads would only wait for each other.
-            with threadpool_limits(1), singular_equations("the black-box model"):
+            with singular_equations("the black-box model"):
                 check_inputs(point.records)
                 for r in point.records:
                     check_sizes(r.name, r.v, r.y)
-                results.append(method(point, options, report_share))
+                return method(point, options, report_share)
         except IdentificationError as error:
-            errors[where] = error
-        report_share(1.0)
+            return error
+        finally:
+            report_share(1.0)
+
+    with record_threads() as pool:
+        found = list(pool.map(identified, range(len(points))))
+    results = [x for x in found if not isinstance(x, IdentificationError)]
+    errors = {
+        describe_position(p.beam_m): x
+        for p, x in zip(points, found, strict=True)
+        if isinstance(x, IdentificationError)
+    }
     reasons = [f"{where}: {error}" for where, error in errors.items()]
     if not results:
         poor = all(isinstance(error, PoorExcitationError) for error in errors.values())

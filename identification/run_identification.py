@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from .checks_before_fit import check_before_fit
 from .greybox.declared_model_from_config import declared_model
 from .greybox.experiment.experiment_from_log import Experiment
 from .greybox.free_parameters import free_parameters
-from .greybox.identify_greybox import DECLARE_LOOP, GreyBox, identify_grey_box, is_white
+from .greybox.identify_greybox import DECLARE_LOOP, GreyBox, identify_grey_box
 from .identify import identify
 from .nonparametric.records_without_a_model import why_no_model
 from .nonparametric.robust_multisine import (
@@ -24,7 +24,8 @@ from .nonparametric.robust_multisine import (
     by_position_and_level,
 )
 from .options import Options
-from .records.duplicate_logs import DuplicateCheck
+from .record_threads import record_threads
+from .records.duplicate_logs import DuplicateCheck, identity
 from .records.from_log import from_log
 from .records.periodic_records import (
     IncompleteError,
@@ -35,6 +36,7 @@ from .records.periodic_records import (
 from .records.record import IdentificationError, NotARecordError, Record, describe_position
 from .records.rig_model import no_model
 from .records.singular_equations import singular_equations
+from .records.varying_signals import varying
 from .results import ClosedLoopPoint, IdentificationResult, OpenLoopPoint
 from .trace.force_checks.columns_in_another_unit import common_factor
 from .trace.force_trace.column_hint import column_hint
@@ -65,15 +67,20 @@ class Study:
 
 @dataclass
 class _LogContents:
-    records: list[Record]
-    periodic: list[PeriodicRecord]
-    experiments: list[Experiment]
-    reasons: list[str]
-    errors: list[IdentificationError]
-    unfitted: list[str]
+    records: list[Record] = field(default_factory=list)
+    periodic: list[PeriodicRecord] = field(default_factory=list)
+    experiments: list[Experiment] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+    errors: list[IdentificationError] = field(default_factory=list)
+    unfitted: list[str] = field(default_factory=list)
     """Logs that the fit of the declared model cannot use, with the reason."""
-    undeclared: list[str]
+    undeclared: list[str] = field(default_factory=list)
     """Why logs of a rig have no declared model."""
+
+    def add(self, more: _LogContents) -> None:
+        """Add the contents of further logs."""
+        for own in fields(self):
+            getattr(self, own.name).extend(getattr(more, own.name))
 
 
 def study(
@@ -185,7 +192,7 @@ def _with_column_hint(grey: GreyBox, logs: Sequence[Path], model: ModelConfig) -
     free = free_parameters(model)
     fitted = np.array([grey.fit.values[name] for name in free.names])
     in_proportion = common_factor(fitted, free.prior_mean) == 1.0
-    if in_proportion and is_white(grey.fit) and not grey.explains_nothing:
+    if in_proportion and grey.fit.white and not grey.explains_nothing:
         return grey
     columns = _column_hint(logs, model)
     if not columns:
@@ -226,25 +233,28 @@ def _read(
     logs: Sequence[Path], model_of: Callable[[Log], ModelConfig | None], report: Progress
 ) -> tuple[_LogContents, ModelConfig | None]:
     """Read every log once, and return the contents and the declared model."""
-    found, model = _LogContents([], [], [], [], [], [], []), None
-    duplicates = DuplicateCheck()
-    for number, path in enumerate(logs):
-        report(path.name, number / len(logs))
-        duplicate = duplicates.repeated_path(path)
-        if duplicate is None:
-            log = read_log(path)
-            model = model_of(log) if number == 0 else model
-            if number == 0 and model is None and "rig.yaml" in log.attachments:
-                found.undeclared.append(no_model(log))
-            duplicate = duplicates.copy_of(path, log)
-        if duplicate is not None:
-            found.reasons.append(duplicate)
-            continue
-        try:
-            _sort_log(log, model, found)
-        except IdentificationError as error:
-            found.reasons.append(str(error))
-            found.errors.append(error)
+    found, duplicates = _LogContents(), DuplicateCheck()
+    first = read_log(logs[0])
+    model = model_of(first)
+    if model is None and "rig.yaml" in first.attachments:
+        found.undeclared.append(no_model(first))
+    repeated = [duplicates.repeated_path(path) for path in logs]
+
+    def contents(number: int) -> tuple[object, _LogContents] | None:
+        if repeated[number] is not None:
+            return None
+        log = read_log(logs[number]) if number else first
+        return identity(log), _contents(log, model)
+
+    with record_threads() as pool:
+        every = pool.map(contents, range(len(logs)))
+        for number, (path, remark, one) in enumerate(zip(logs, repeated, every, strict=True)):
+            report(path.name, (number + 1) / len(logs))
+            duplicate = remark or (None if one is None else duplicates.copy_of(path, one[0]))
+            if duplicate is not None:
+                found.reasons.append(duplicate)
+            elif one is not None:
+                found.add(one[1])
     return found, model
 
 
@@ -289,6 +299,17 @@ def _doubt_notes(result: IdentificationResult) -> list[str]:
     return found
 
 
+def _contents(log: Log, model: ModelConfig | None) -> _LogContents:
+    """Return the input that a log is to the methods, or why it is none."""
+    found = _LogContents()
+    try:
+        _sort_log(log, model, found)
+    except IdentificationError as error:
+        found.reasons.append(str(error))
+        found.errors.append(error)
+    return found
+
+
 def _sort_log(log: Log, model: ModelConfig | None, found: _LogContents) -> None:
     """Add a log to the input of every method that can use it; if there is none, note the reason."""
     reason: NotARecordError | None = None
@@ -301,7 +322,7 @@ def _sort_log(log: Log, model: ModelConfig | None, found: _LogContents) -> None:
         try:
             experiment = experiment_of(log, model)
             found.experiments.append(experiment)
-            still = np.flatnonzero(np.ptp(experiment.y, axis=0) == 0.0)
+            still = np.flatnonzero(~varying(experiment.y))
             found.reasons += [
                 f"{log.path.name}: {model.dof[i].name} is constant over the record, so its noise "
                 "is unknown; check the sensor's connection"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from ...config.model import ModelConfig
 from ...model.declared_model import DeclaredModel, ModelError
+from ..record_threads import record_threads
 from ..records.record import IdentificationError
+from ..records.varying_signals import varying
 from .declared_model_from_config import declared_model
 from .experiment.experiment_from_log import Experiment
 from .free_parameters import free_parameters
@@ -21,6 +22,7 @@ from .prediction.discretisation import motion
 from .prediction.noise_estimate import estimate_noise
 from .prediction.noise_model import Filter, Noise
 from .prediction.prediction_errors import Prediction, errors_of, predict, settled
+from .validation import whiteness
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -42,6 +44,8 @@ _NOISE_ROWS = 24_000
 _NOISE_RECORDS = 3
 _SHORTEST_ROWS = 50
 _FIRST_ROWS = 8_000
+_WHITE = 1e-3
+"""Probability by chance above which prediction errors count as white."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,9 @@ class Fit:
     """A fitted model.
 
     `free`: the fitted parameters, with `covariance` (F, F) in SI units. `unidentifiable`:
-    parameters that the records do not determine, held at their declared values. `predictions`: the
-    records, with whitened errors (of unit variance for a correct model). `at_bound`: fitted
-    parameters at a bound of the model file, whose standard errors are unreliable.
+    parameters that the records do not determine, held at their declared values. `at_bound`: fitted
+    parameters at a bound of the model file, whose standard errors are unreliable. `records`: those
+    that were fitted; `white`: whether what the model leaves of them is chance.
     """
 
     model: DeclaredModel
@@ -60,7 +64,8 @@ class Fit:
     unidentifiable: tuple[Unidentifiable, ...]
     at_bound: tuple[str, ...]
     noise: Noise
-    predictions: tuple[Prediction, ...]
+    records: tuple[Experiment, ...]
+    white: bool
     steps: int
     uncertain: tuple[tuple[str, ...], Array] | None = None
     """Parameters and covariance of the fit with those that are held, if these count as uncertain:
@@ -80,11 +85,6 @@ class Fit:
     def standard_errors(self) -> dict[str, float]:
         """Standard errors of the fitted parameters in SI units."""
         return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-    @property
-    def cost(self) -> float:
-        """Minus twice the log-likelihood of all records, up to a constant."""
-        return sum(p.cost for p in self.predictions)
 
 
 def fit_model(
@@ -109,7 +109,6 @@ def fit_model(
                 f"record '{e.name}': expected at least {_SHORTEST_ROWS} rows, found {len(e.y)}"
             )
     try:
-        # Each record has a thread; BLAS threads inside would compete for the same cores.
         with threadpool_limits(1):
             return _Search(config, experiments, progress or (lambda _what, _share: None)).run()
     except ModelError as error:
@@ -204,7 +203,8 @@ class _Search:
             tuple(self.held),
             self.parameters.at_bound(self.values()),
             self.noise,
-            tuple(predictions),
+            self.experiments,
+            _white(predictions),
             self.steps,
         )
 
@@ -271,7 +271,7 @@ class _Search:
         self, model: DeclaredModel, filters: Sequence[Filter] | None = None
     ) -> list[Prediction]:
         by: Sequence[Noise | Filter] = filters or [self.noise] * len(self.experiments)
-        with ThreadPoolExecutor() as pool:
+        with record_threads() as pool:
             return list(
                 pool.map(lambda e, b: predict(model, e, self.hold, b), self.experiments, by)
             )
@@ -288,7 +288,7 @@ class _Search:
             R = np.asarray(np.linalg.qr(stacked.reshape(-1, stacked.shape[2]), mode="r"))
             return R[unknowns:, unknowns:]
 
-        with ThreadPoolExecutor() as pool:
+        with record_threads() as pool:
             rows = list(pool.map(factor_one, predictions))
         rows.append(self.parameters.prior_rows(self.values()))
         return np.asarray(np.linalg.qr(np.vstack(rows), mode="r"))
@@ -347,9 +347,15 @@ class _Search:
         return 1.0 - 0.85**self.steps
 
 
+def _white(predictions: Sequence[Prediction]) -> bool:
+    """Return whether the errors of all records are white (Ljung-Box, Bonferroni)."""
+    p_values = np.concatenate([whiteness(p.errors[p.motion.blind :]).p_value for p in predictions])
+    return bool(p_values.min() * len(p_values) > _WHITE)
+
+
 def _require_motion(config: ModelConfig, experiments: Sequence[Experiment]) -> None:
     """Check for outputs that never move: any model with enough noise explains them."""
-    still = np.all([np.ptp(e.y, axis=0) == 0.0 for e in experiments], axis=0)
+    still = np.all([~varying(e.y) for e in experiments], axis=0)
     if np.any(still):
         names = ", ".join(d.name for d, rests in zip(config.dof, still, strict=True) if rests)
         raise IdentificationError(

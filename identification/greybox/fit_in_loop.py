@@ -12,6 +12,7 @@ from ...config.model import ModelConfig
 from ..loop_spectra.measured_noise import noise_spectrum
 from ..loop_spectra.output_errors import without_transients
 from ..records.record import IdentificationError
+from ..records.varying_signals import varying
 from .experiment.experiment_from_log import Experiment
 from .fit import Fit
 from .free_parameters import free_parameters
@@ -19,7 +20,6 @@ from .modes.identify_in_loop import LoopFit, identify_in_loop
 from .modes.lines_by_point import lines_by_point
 from .modes.valid_band import ValidBand, valid_band
 from .moving_records import determined
-from .prediction.prediction_errors import predict
 
 _AT_BOUND = 1e-2
 """Distance from a bound, in standard errors, from which a parameter is on it."""
@@ -52,7 +52,7 @@ def shows_loop(e: Experiment) -> bool:
     """Return whether a record of the rig excites its loop while the schedule rests."""
     if e.loop is None or e.correlations is None or e.moving:
         return False
-    return bool(np.any(np.ptp(e.loop.v, axis=0) > 0.0))
+    return bool(varying(e.loop.v).any())
 
 
 def fit_in_loop(
@@ -91,7 +91,8 @@ def fit_in_loop(
         known.unidentifiable,
         tuple(name for name, is_at in zip(free, at_bound, strict=True) if is_at),
         found.noise,
-        tuple(predict(model, e, config.input, found.noise) for e in experiments),
+        tuple(experiments),
+        found.white,
         found.steps,
         _with_held(found) if known.unidentifiable == found.unidentifiable else None,
     )

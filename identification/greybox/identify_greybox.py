@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...config.model import ModelConfig
 from ...model.second_order import StateSpace, discretise, lagged
+from ..record_threads import record_threads
 from ..records.held_out_rows import HeldOut, held_out_rows
 from ..records.record import IdentificationError
 from ..records.value_check import check_values
@@ -26,7 +27,7 @@ from .free_parameters import free_parameters
 from .free_run.free_run_simulation import free_run, run_in_rows
 from .prediction.multistep_prediction import predict_ahead
 from .prediction.noise_model import Noise
-from .validation import Validation, metric_of, validate, whiteness
+from .validation import Validation, metric_of, validate
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -35,8 +36,6 @@ DECLARE_LOOP = "Declare the loop in the signals file"
 """Remedy of a remark on a model that drifts."""
 _NEAR = 0.5
 """Error of a simulation over the output's standard deviation up to which it is an instrument."""
-_WHITE = 1e-3
-"""Probability by chance above which prediction errors count as white."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ def identify_grey_box(
         floor_noise: Noise | None = fit.noise
     else:
         fit = fit_model(config, training, progress)
-        white = is_white(fit)
+        white = fit.white
         if imported and not white:
             fit, balance, notes = _with_force_balance(config, fit)
             remarks += notes
@@ -144,7 +143,12 @@ def identify_grey_box(
         e.rows(_first_simulated(e, found), found.stop) if holdout else e
         for e, found in zip(experiments, held, strict=True)
     ]
-    checks = tuple(validate(fit.model, e, config.input, fit.noise, floor_noise) for e in held_out)
+
+    def check(e: Experiment) -> Validation:
+        return validate(fit.model, e, config.input, fit.noise, floor_noise)
+
+    with record_threads() as pool:
+        checks = tuple(pool.map(check, held_out))
     first = experiments[0]
     return GreyBox(
         config,
@@ -168,14 +172,6 @@ def _first_simulated(e: Experiment, held: HeldOut) -> int:
     if not held.event:
         return held.start
     return max(held.start - run_in_rows(held.stop - held.start, e.Ts_s), 0)
-
-
-def is_white(fit: Fit) -> bool:
-    """Return whether the prediction errors of all records are white (Ljung-Box, Bonferroni)."""
-    p_values = np.concatenate(
-        [whiteness(p.errors[p.motion.blind :]).p_value for p in fit.predictions]
-    )
-    return bool(p_values.min() * len(p_values) > _WHITE)
 
 
 def stated_noise(experiments: Sequence[Experiment]) -> Noise | None:
@@ -208,7 +204,7 @@ def _with_force_balance(
         )
     p = free_parameters(config)
     free = p.only([p.names.index(name) for name in fit.free])
-    records = [q.experiment for q in fit.predictions]
+    records = fit.records
     try:
         found = fit_force_balance(
             fit.model,

@@ -136,14 +136,14 @@ def validate(
     rows = slice(first, None)
     measured, simulated = experiment.y[rows], outputs[rows]
     error = measured - simulated
-    one_step = (experiment.y - predict_ahead(model, experiment, hold, noise, 1))[rows]
+    known = predict(model, experiment, hold, noise)
+    one_step, errors = known.innovations[rows], known.errors[rows]
     unknown = np.full(n, np.nan)
     floor = None
     if floor_noise is not None and metric == "free_run":
         floor = noise_floor(model, experiment, hold, floor_noise)
     segment = min(max(round(_SEGMENT_S / experiment.Ts_s), _SEGMENT_ROWS), len(error))
     freq_hz, error_psd = welch(error, 1 / experiment.Ts_s, nperseg=segment, axis=0)
-    errors = predict(model, experiment, hold, noise).errors[rows]
     time_s = np.asarray(np.arange(first, len(experiment.y)) * experiment.Ts_s)
     with np.errstate(divide="ignore", invalid="ignore"):
         one_step_percent = 100.0 * one_step.std(axis=0) / measured.std(axis=0)

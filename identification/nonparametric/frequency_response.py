@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from ..records.record import IdentificationError, PiController, Record
+from ..records.varying_signals import varying
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -215,7 +216,7 @@ def _segments(x: Array, length: int, index: NDArray[np.int_]) -> Complex:
     hop = length // 2
     starts = range(0, len(x) - length + 1, hop)
     out = np.zeros((len(starts), len(index), x.shape[1]), complex)
-    active = np.flatnonzero(np.ptp(x, axis=0) > 0)
+    active = np.flatnonzero(varying(x))
     for k, start in enumerate(starts):
         part = x[start : start + length, active]
         spectrum = fft.rfft((part - part.mean(axis=0)).T * window)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from ..records.record import IdentificationError, Record
+from ..records.varying_signals import varying
 from .frequency_response import ResponseEstimate
 from .joint_input_output import joint_signals, plant_from_joint_response
 
@@ -110,7 +111,7 @@ class _Band:
     def spectrum(self, x: Array) -> Complex:
         """Return the spectrum (F, W, n) of x (N, n) in the band."""
         out = np.zeros((*self.bins.shape, x.shape[1]), complex)
-        for j in np.flatnonzero(np.ptp(x, axis=0) > 0):
+        for j in np.flatnonzero(varying(x)):
             out[:, :, j] = fft.rfft(x[:, j])[self.bins] / np.sqrt(len(x))
         return out
 
@@ -141,7 +142,7 @@ def _coherence(inputs: Sequence[Array], targets: Sequence[Complex], residual: Co
     shape = (len(residual), residual.shape[2], inputs[0].shape[1])
     unexplained, power, begin = np.zeros(shape), np.zeros(shape), 0
     for v, y in zip(inputs, targets, strict=True):
-        excited = np.ptp(v, axis=0) > 0
+        excited = varying(v)
         error = residual[:, begin : begin + y.shape[1]]
         unexplained[:, :, excited] += np.sum(np.abs(error) ** 2, axis=1)[:, :, None]
         power[:, :, excited] += np.sum(np.abs(y) ** 2, axis=1)[:, :, None]

@@ -23,13 +23,13 @@ class DuplicateCheck:
         self._known[path.resolve()] = path
         return None
 
-    def copy_of(self, path: Path, log: Log) -> str | None:
-        """Return a remark if the log is a copy of an earlier one, else None."""
-        original = self._known.setdefault(_identity(log), path)
+    def copy_of(self, path: Path, key: object) -> str | None:
+        """Return a remark if the log of this `identity` is a copy of an earlier one, else None."""
+        original = self._known.setdefault(key, path)
         return None if original == path else f"{path}: the same record as {original}, used once"
 
 
-def _identity(log: Log) -> object:
+def identity(log: Log) -> object:
     """Return a key that copies of a log share: record, session and a hash of its rows."""
     rows = hashlib.sha256(np.ascontiguousarray(log.rows).view(np.uint8).data).digest()
     return log.metadata.get("name"), log.metadata.get("session"), rows

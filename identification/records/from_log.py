@@ -60,9 +60,15 @@ def from_log(log: Log) -> Record:
         return replace(imported_record(log), beam_m=_position(log))
     if kind is None:
         _require_cycles(log)
+    require_record(log)
+    return _from_cycles(log)
+
+
+def require_record(log: Log) -> None:
+    """Raise NotARecordError for a rig log of another session step."""
+    kind = log.metadata.get("kind")
     if kind != "record":
         raise NotARecordError(f"{log.path.name}: kind '{kind or 'none'}' skipped, {OTHER_STEP}")
-    return _from_cycles(log)
 
 
 def records_from_logs(logs: Sequence[Log]) -> tuple[tuple[Record, ...], tuple[str, ...]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...config.base import ConfigError, parse_text
 from ...config.session import RecordStep, SessionConfig
 from ...log.reader import Log
-from .from_log import from_log
+from .from_log import from_log, require_record
 from .record import IdentificationError, NotARecordError, PiController
 from .resampling import resample
 
@@ -68,8 +68,9 @@ def periodic_record(log: Log) -> PeriodicRecord:
         IdentificationError: session.yaml is invalid or lacks the record, or the excitation does
             not repeat with the session's period.
     """
+    require_record(log)
+    step, period_s = _orthogonal_step(log, log.metadata.get("name") or log.path.stem)
     record = from_log(log)
-    step, period_s = _orthogonal_step(log, record.name)
     if "part" in log.metadata:
         raise IncompleteError(
             f"{log.path.name}: part {log.metadata['part']} of record '{record.name}' skipped: the "

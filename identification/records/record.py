@@ -9,6 +9,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .varying_signals import varying
+
 Array = NDArray[np.float64]
 
 BEAM_POSITION_TOLERANCE_M = 1e-3
@@ -92,7 +94,7 @@ class Record:
     @property
     def excited(self) -> NDArray[np.bool_]:
         """Which inputs (p,) are excited."""
-        return np.asarray(np.ptp(self.v, axis=0) > 0)
+        return varying(self.v)
 
     def first_row(self, taps: int) -> int:
         """Return the first row whose last `taps` samples are known."""

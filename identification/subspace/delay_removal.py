@@ -5,6 +5,8 @@ All steps are exact algebra on power series in z^-1 (Markov parameters), truncat
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
@@ -25,20 +27,52 @@ def without_delay(
     short, so the inverse is close to I and does not amplify noise. Without controller (open loop)
     the result is F.
     """
+    forward = _forward(g, leading_zeros, lag_pole)
+    if controller is None:
+        return forward
+    feedback = _feedback(len(forward), leading_zeros, lag_pole, controller, Ts_s)
+    return product(forward, inverse(_with_identity(product(feedback, forward))))
+
+
+def change_without_delay(
+    g: Array, leading_zeros: int, lag_pole: float, controller: PiController, Ts_s: float
+) -> Callable[[Array], Array]:
+    """Return how the result of without_delay changes with small changes of g (L, m, p).
+
+    With K = (1 - E) C it is (I + F K)^-1 dF (I + K F)^-1.
+    """
+    forward = _forward(g, leading_zeros, lag_pole)
+    feedback = _feedback(len(forward), leading_zeros, lag_pole, controller, Ts_s)
+    left = inverse(_with_identity(product(forward, feedback)))
+    right = inverse(_with_identity(product(feedback, forward)))
+
+    def change(dg: Array) -> Array:
+        return product(product(left, _forward(dg, leading_zeros, lag_pole)), right)
+
+    return change
+
+
+def _forward(g: Array, leading_zeros: int, lag_pole: float) -> Array:
+    """Return F = G / E."""
     forward = g[leading_zeros:]
     if lag_pole:
         forward = signal.lfilter([1.0, -lag_pole], [1.0 - lag_pole], forward, axis=0)
-    if controller is None:
-        return np.asarray(forward)
-    length, _, p = forward.shape
-    step = np.ones(length)  # step response of 1 - E
+    return np.asarray(forward)
+
+
+def _feedback(
+    length: int, leading_zeros: int, lag_pole: float, controller: PiController, Ts_s: float
+) -> Array:
+    """Return (1 - E) C = kp (1 - E) + ki Ts (1 - E) / (1 - z^-1); the latter is a step response."""
+    step = np.ones(length)
     step[leading_zeros:] -= 1.0 - lag_pole ** np.arange(1, length - leading_zeros + 1)
     impulse = np.diff(step, prepend=0.0)
-    # (1 - E) C = kp (1 - E) + ki Ts (1 - E) / (1 - z^-1); the latter is the step response.
-    feedback = impulse[:, None] * controller.kp + step[:, None] * controller.ki * Ts_s
-    loop = product(_diagonal(feedback), forward)
-    loop[0] += np.eye(p)
-    return product(forward, inverse(loop))
+    return _diagonal(impulse[:, None] * controller.kp + step[:, None] * controller.ki * Ts_s)
+
+
+def _with_identity(series: Array) -> Array:
+    series[0] += np.eye(series.shape[1])
+    return series
 
 
 def product(a: Array, b: Array) -> Array:

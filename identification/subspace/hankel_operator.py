@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from threadpoolctl import threadpool_limits
 
 Array = NDArray[np.float64]
 
+_ONE_AT_A_TIME = Lock()
+"""Neither PROPACK nor ARPACK says that calls in several threads are independent."""
 DENSE_SIDE = 400
 """Up to this size the matrix is formed: a dense SVD is faster and gives all singular values."""
 
@@ -38,23 +41,29 @@ class HankelOperator(LinearOperator):
         self.block_rows, self.block_columns = block_rows, block_columns
         self._h = h[: block_rows + block_columns - 1]
         self._size = fft.next_fast_len(block_rows + block_columns - 1, real=True)
-        self._spectrum = fft.rfft(self._h, self._size, axis=0)
+        self._spectrum = fft.rfft(self._h, self._size, axis=0).conj()
         shape = (block_rows * self.m, block_columns * self.p)
         super().__init__(np.dtype(float), shape)  # type: ignore[call-arg]
 
     def _matmat(self, X: Array) -> Array:
         x = X.reshape(self.block_columns, self.p, -1)
-        product = np.einsum("fij,fjc->fic", self._spectrum.conj(), fft.rfft(x, self._size, axis=0))
-        # sum_b h(a + b) x(b) is a correlation: the conjugate spectrum gives it in reverse order.
-        y = fft.irfft(product, self._size, axis=0)
-        index = -np.arange(self.block_rows) % self._size
-        return np.asarray(y[index].reshape(self.shape[0], -1))
+        return self._correlated("fij,fjc->fic", x, self.block_rows)
+
+    def _rmatmat(self, X: Array) -> Array:
+        x = X.reshape(self.block_rows, self.m, -1)
+        return self._correlated("fji,fjc->fic", x, self.block_columns)
 
     def _matvec(self, x: Array) -> Array:
         return self._matmat(x.reshape(-1, 1)).ravel()
 
-    def _adjoint(self) -> HankelOperator:
-        return HankelOperator(self._h.transpose(0, 2, 1), self.block_columns, self.block_rows)
+    def _rmatvec(self, x: Array) -> Array:
+        return self._rmatmat(x.reshape(-1, 1)).ravel()
+
+    def _correlated(self, product: str, x: Array, blocks: int) -> Array:
+        # sum_b h(a + b) x(b) is a correlation: the conjugate spectrum gives it in reverse order.
+        spectrum = np.einsum(product, self._spectrum, fft.rfft(x, self._size, axis=0))
+        y = fft.irfft(spectrum, self._size, axis=0)[-np.arange(blocks) % self._size]
+        return np.asarray(y.reshape(blocks * y.shape[1], -1))
 
     def dense(self) -> Array:
         """Return the explicit matrix; for small ones only."""
@@ -75,7 +84,7 @@ def leading_svd(operator: HankelOperator, count: int) -> HankelSvd:
         return HankelSvd(U[:, :count], s[:count], Vt[:count])
     start = np.random.default_rng(0).normal(size=operator.shape[0])
     # Lanczos vectors are long and few: several BLAS threads would only wait for each other.
-    with threadpool_limits(1, "blas"):
+    with _ONE_AT_A_TIME, threadpool_limits(1, "blas"):
         try:
             U, s, Vt = svds(operator, count, solver="propack", v0=start)
         except (np.linalg.LinAlgError, ArpackError):

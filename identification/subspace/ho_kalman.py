@@ -101,21 +101,21 @@ def decompose_coloured(
 def noise_level(
     markov: MarkovEstimate,
     records: Sequence[Record],
-    core: Callable[[Array], Array],
+    change: Callable[[Array], Array],
     scaling: Scaling,
 ) -> float:
     """Return the largest singular value that the errors of Markov parameters alone have.
 
     With white excitation the errors of taps are as coloured as what the parameters leave of the
-    records. `core` takes known delay and lag out of Markov parameters.
+    records. `change` returns what errors of Markov parameters do to those without delay and lag.
     """
-    rng, exact = np.random.default_rng(0), core(markov.g)
+    rng = np.random.default_rng(0)
     colour = np.sqrt(_colour(markov, records))[:, :, None]
 
     def drawn() -> float:
         white = fft.rfft(rng.normal(size=markov.g.shape), axis=0)
         error = markov.standard_error * fft.irfft(white * colour, len(markov.g), axis=0)
-        error = core(markov.g + error) - exact
+        error = change(error)
         scaled = error * (scaling.inputs / scaling.outputs[:, None])
         blocks = _blocks(error)
         return largest_singular_value(HankelOperator(scaled[1:], blocks, blocks))

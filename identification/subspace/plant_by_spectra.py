@@ -8,13 +8,12 @@ model error, by frequency, and both weigh (`residual_spectrum`). Feedback does n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from threadpoolctl import threadpool_limits
 
 from ...model.second_order import StateSpace
 from ..loop_spectra.measured_noise import measured_noise, noise_spectrum
@@ -35,6 +34,7 @@ from ..loop_spectra.spectral_lines import (
     point_lines,
 )
 from ..nonparametric.frequency_response import ResponseEstimate
+from ..record_threads import record_threads
 from ..records.record import IdentificationError, PiController, Record
 from .fit_state_space import Directions, FitStateSpace, SampledPlant
 from .frequency_subspace import frequency_subspace
@@ -112,8 +112,7 @@ def plant_by_spectra(
     for name, i in zip(records[0].output_names, range(records[0].y.shape[1]), strict=True):
         if all(np.ptp(r.y[:, i]) == 0.0 for r in records):
             raise IdentificationError(f"expected every output to vary, found {name} constant")
-    # Each record has a thread; BLAS threads inside would compete for the same cores.
-    with threadpool_limits(1), ThreadPoolExecutor() as pool:
+    with record_threads() as pool:
         return _Search(records, lag_pole, pool).run(order, least_order)
 
 

@@ -139,7 +139,7 @@ def _changed(grey: GreyBox, name: str, value: float) -> GreyBox:
 
 
 def _spread(grey: GreyBox, name: str) -> list[float]:
-    values = [e.experiment.schedule[name] for e in grey.fit.predictions]
+    values = [e.schedule[name] for e in grey.fit.records]
     values = [v[np.isfinite(v)] for v in values if np.isfinite(v).any()]
     if not values:
         return [grey.declared.scheduling[name].value]

@@ -182,7 +182,7 @@ def _closed_loop_chapter(
     commands: Commands,
 ) -> Chapter:
     report = closed_loop_report(points, signals, truth)
-    beam_moved = grey is not None and any(p.experiment.moving for p in grey.fit.predictions)
+    beam_moved = grey is not None and any(e.moving for e in grey.fit.records)
     return Chapter(
         "Ho-Kalman",
         _advice("model by Ho-Kalman", [p.doubts for p in points], report.trusted)

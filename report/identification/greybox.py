@@ -92,8 +92,8 @@ class GreyBoxReport:
     @property
     def moving(self) -> tuple[Validation, ...]:
         """The validations of records with moving scheduling variables."""
-        pairs = zip(self.grey.validations, self.grey.fit.predictions, strict=True)
-        return tuple(v for v, prediction in pairs if prediction.experiment.moving)
+        pairs = zip(self.grey.validations, self.grey.fit.records, strict=True)
+        return tuple(v for v, record in pairs if record.moving)
 
     @property
     def worst(self) -> Cell | None:
@@ -214,11 +214,11 @@ def grey_box_report(
 def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:
     """Return the sentences of the summary."""
     fit, declared = report.grey.fit, report.grey.declared
-    rows = sum(len(p.errors) for p in fit.predictions)
+    rows = sum(len(e.y) for e in fit.records)
     fixed = sum(p.is_fixed for p in declared.parameters.values())
     fitted = (
         f"{_count(len(fit.free), 'parameter')} of the declared model '{declared.name}' "
-        f"{_were(len(fit.free))} fitted to {_count(len(fit.predictions), 'record')} together, "
+        f"{_were(len(fit.free))} fitted to {_count(len(fit.records), 'record')} together, "
         f"{rows * report.grey.Ts_s:.0f} s in all"
     )
     if fixed:

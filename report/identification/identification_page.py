@@ -149,8 +149,7 @@ def _record_parts(
             for r in point.remarks
             if not r.startswith(own_to_records)
         ]
-    for prediction in () if grey is None else grey.fit.predictions:
-        experiment = prediction.experiment
+    for experiment in () if grey is None else grey.fit.records:
         where = "moving" if experiment.moving else "—"
         if experiment.name not in {name for name, _ in rows}:
             rows[experiment.name, where] = list(experiment.remarks)

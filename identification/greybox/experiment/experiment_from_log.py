@@ -28,10 +28,11 @@ from ...records.from_log import (
     log_remarks,
     require_fields,
     require_finite,
+    require_record,
     require_stated_rate,
     rig_of,
 )
-from ...records.record import OTHER_STEP, IdentificationError, NotARecordError, Record
+from ...records.record import IdentificationError, Record
 from ...records.resampling import resample
 from .control_loop import ControlLoop, imported_loop
 from .intersample_input import Hold
@@ -214,9 +215,7 @@ def _stated(values: Sequence[float | None]) -> Array:
 
 def _flown(log: Log) -> Experiment:
     """Return the experiment of a rig log; its input is the wrench of the commanded coil forces."""
-    kind = log.metadata.get("kind")
-    if kind != "record":
-        raise NotARecordError(f"{log.path.name}: kind '{kind or 'none'}' skipped, {OTHER_STEP}")
+    require_record(log)
     require_fields(log, _REQUIRED, "the declared model")
     gains = controller_of(log)
     geometry = rig_of(log).geometry

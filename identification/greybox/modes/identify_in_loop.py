@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from ....config.model import ModelConfig
 from ....model.second_order import state_space
@@ -24,6 +23,7 @@ from ...loop_spectra.residual_spectrum import (
 )
 from ...loop_spectra.spectral_lines import HIGHEST_SHARE, SEARCH_LINES, PointLines
 from ...nonparametric.frequency_response import ResponseEstimate
+from ...record_threads import record_threads
 from ..declared_model_from_config import declared_model
 from ..experiment.experiment_from_log import Experiment
 from ..free_parameters import FreeParameters, free_parameters
@@ -108,8 +108,7 @@ def identify_in_loop(
 
     Raises IdentificationError for records too short, or without excitation.
     """
-    # Each record has a thread; BLAS threads inside would compete for the same cores.
-    with threadpool_limits(1), ThreadPoolExecutor() as pool:
+    with record_threads() as pool:
         silent: Progress = lambda _what, _share: None  # noqa: E731
         return _Search(config, experiments, band_hz, progress or silent, pool).run()
 

@@ -10,6 +10,7 @@ from ...loop_spectra.measured_response import measured_response
 from ...loop_spectra.spectral_lines import LEAST_LINES, LoopSignals, PointLines, point_lines
 from ...nonparametric.frequency_response import ResponseEstimate
 from ...records.record import IdentificationError
+from ...records.varying_signals import varying
 from ..experiment.experiment_from_log import Experiment
 
 SAME_POINT = 1e-3
@@ -42,7 +43,7 @@ def measured_responses(
     experiments: Sequence[Experiment], top_hz: float
 ) -> tuple[ResponseEstimate, ...]:
     """Return P (F, n, p) at each point whose records excite every input, at common frequencies."""
-    excited = [e for e in experiments if e.loop is not None and np.any(np.ptp(e.loop.v, axis=0))]
+    excited = [e for e in experiments if e.loop is not None and varying(e.loop.v).any()]
     rows = min((len(e.y) for e in excited), default=0)
     found = []
     for group in _grouped(excited, _at_one_point):
@@ -87,7 +88,7 @@ def signals(e: Experiment) -> LoopSignals:
     """Return the signals of a record of a known loop."""
     assert e.loop is not None
     v = e.loop.v + e.loop.feedforward
-    return LoopSignals(e.name, e.y, e.u, v, tuple(np.flatnonzero(np.ptp(v, axis=0) > 0).tolist()))
+    return LoopSignals(e.name, e.y, e.u, v, tuple(np.flatnonzero(varying(v)).tolist()))
 
 
 def _point(experiments: Sequence[Experiment], band_hz: tuple[float, float]) -> PointLines | None:

@@ -56,8 +56,7 @@ def predict_ahead(
     kalman = kalman_filter(at, noise)
     known = predict_along(at, experiment, kalman)
     if not at.fixed:
-        lower = np.linalg.cholesky(kalman.covariance)
-        return np.asarray(experiment.y - np.einsum("kij,kj->ki", lower, known.errors))
+        return np.asarray(experiment.y - known.innovations)
     at = settled(at, known.offset)
     N, n = experiment.y.shape
     flow, forcing, gain = at.flow, at.forcing, kalman.gain[0]

@@ -40,6 +40,12 @@ class Prediction:
     start: Array
 
     @property
+    def innovations(self) -> Array:
+        """Errors (N, n) in output units; zero in blind rows."""
+        lower = np.linalg.cholesky(self.filter.covariance)
+        return np.asarray((lower @ self.errors[:, :, None])[:, :, 0])
+
+    @property
     def squares(self) -> float:
         """Sum of the squared errors."""
         return float(np.sum(self.errors**2))

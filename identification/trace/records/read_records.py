@@ -12,7 +12,7 @@ import numpy as np
 
 from ....config.model import ModelConfig
 from ....log.reader import read_log
-from ...records.duplicate_logs import DuplicateCheck
+from ...records.duplicate_logs import DuplicateCheck, identity
 from ...records.record import IdentificationError, NotARecordError
 from .record_from_log import IMPORTED, SHORTEST_S, TraceRecord, trace_record
 
@@ -43,7 +43,7 @@ def read_records(
         except NotARecordError as reason:
             notes.append(str(reason))
             continue
-        copy = duplicates.copy_of(path, log)
+        copy = duplicates.copy_of(path, identity(log))
         if copy is not None:
             notes.append(copy)
             continue

@@ -153,3 +153,15 @@ def test_loop_with_fewer_states_than_its_controller_is_rejected(controller):
     small = StateSpace(np.eye(2) * 0.5, np.ones((2, 3)), np.ones((3, 2)), np.zeros((3, 3)), TS)
     with pytest.raises(IdentificationError, match="3 integrators"):
         plant_from_loop.plant_from_loop(small, controller)
+
+
+def test_small_change_of_the_loop_gives_the_change_without_delay_and_lag(rig, exact, controller):
+    pole, g = np.exp(-TS / rig.LAG_S), exact[1]
+    change = delay_removal.change_without_delay(g, 2, pole, controller, TS)
+    dg = 1e-6 * np.random.default_rng(0).normal(size=g.shape) * np.abs(g).max(axis=0)
+    dg[:2] = 0.0
+    before, after = (
+        delay_removal.without_delay(x, 2, pole, controller, TS) for x in (g - dg, g + dg)
+    )
+    expected = 0.5 * (after - before)
+    np.testing.assert_allclose(change(dg), expected, atol=1e-6 * np.abs(expected).max())

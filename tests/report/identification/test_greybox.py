@@ -116,7 +116,7 @@ def test_figure_14_shows_only_the_first_moving_record(grey, tmp_path):
     again = replace(
         grey,
         validations=(*grey.validations, replace(grey.validations[1], record="moved again")),
-        fit=replace(grey.fit, predictions=(*grey.fit.predictions, grey.fit.predictions[1])),
+        fit=replace(grey.fit, records=(*grey.fit.records, grey.fit.records[1])),
     )
     page = identification_report(None, None, tmp_path, grey=again).read_text(encoding="utf-8")
     assert page.count("Fig. 14 of the paper") == 1
@@ -175,14 +175,10 @@ def test_response_is_compared_with_the_truth(grey):
 
 def with_slide_in_the_middle(grey):
     """Return the fit with the slide in the middle in all records."""
-    predictions = tuple(
-        replace(
-            p,
-            experiment=replace(p.experiment, schedule={"s": np.zeros(len(p.errors))}, moving=False),
-        )
-        for p in grey.fit.predictions
+    records = tuple(
+        replace(e, schedule={"s": np.zeros(len(e.y))}, moving=False) for e in grey.fit.records
     )
-    return replace(grey, fit=replace(grey.fit, predictions=predictions))
+    return replace(grey, fit=replace(grey.fit, records=records))
 
 
 def test_report_without_a_moving_record_has_no_figure_14(grey):
@@ -237,7 +233,7 @@ def test_nan_has_no_rating(grey, broken, tmp_path):
 
 
 def test_report_without_validations(grey, tmp_path):
-    none = replace(grey, fit=replace(grey.fit, predictions=()), validations=())
+    none = replace(grey, fit=replace(grey.fit, records=()), validations=())
     text = identification_report(None, None, tmp_path, grey=none).read_text(encoding="utf-8")
     assert "Response of the fitted model" in text
     assert "Simulated against measured" not in text

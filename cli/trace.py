@@ -61,7 +61,7 @@ def command(
     The model is fitted to the records and its residual is compared with a table of effects. An
     effect is accepted if it lowers the error on rows that did not fit it by more than chance.
     Imported records may come from an unknown controller, and from an unstable plant.
-    On a rig's records no further effect is looked for after ten minutes; a note says so.
+    On a rig's records the search ends after ten minutes; a note says so.
     OUT/model.yaml is the refitted model with the accepted effects; identify, trace and the
     simulator read it. Prints the effects, their evidence, the next command and the report's path.
 

@@ -40,9 +40,9 @@ from .search.gauss_newton import NEARLY, ROUGHLY, Candidate, Part, refine
 from .search.nonrigid_screening import shown_beyond
 from .search.regression import FOLDS
 from .search.search import Found, search
-from .search.tested_candidate import HeldError
+from .search.tested_candidate import HeldError, TimeOverError
 from .search_options import SearchOptions
-from .worker_pool import RecordSource, Workers
+from .worker_pool import Answer, RecordSource, Task, Workers
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -92,7 +92,7 @@ def trace(
 ) -> Trace:
     """Find the effects that the model of `config` lacks, and fit the model with them.
 
-    After `most_s` from the beginning no further effect is looked for; a note says so.
+    After `most_s` from the beginning nothing is looked for or fitted any more; a note says so.
 
     Raises IdentificationError without records, for too little data, readings without noise, or
     records that the model does not fit.
@@ -155,9 +155,10 @@ def _trace(
     # Without a lag, a law is the same before and behind it; this search has each law once.
     named = [e for e in table.named if not e.before_lag or declared.model.lagging]
     named = [e for e in named if not e.beside]
-    found = search(start, named, table.free, logged, progress, options, ends_s)
+    found = search(start, named, table.free, logged.until(ends_s), progress, options)
     if perf_counter() > ends_s:
-        notes = (*notes, f"the search ended after {most_s / 60.0:.3g} min; this is what it found")
+        ended = f"the search ended after {most_s / 60.0:.3g} min; this is what it found, and was"
+        notes = (*notes, f"{ended} not compared with all that may fit as well")
     if start is not declared:
         point = replace(found.point, disturbance=declared.disturbance)
         found = replace(found, point=point)
@@ -246,13 +247,28 @@ def _begin(
 
 @dataclass(frozen=True)
 class _Logged:
-    """Records that the workers read from logs."""
+    """Records that the workers read from logs, until `ends_s` of `time.perf_counter`."""
 
     workers: Workers
     fitted: tuple[RecordSource, ...]
     kept: tuple[RecordSource, ...]
     parts: tuple[TraceRecord, ...]
-    _errors: dict[bytes, list[RecordError]] = field(default_factory=dict, init=False, repr=False)
+    ends_s: float = np.inf
+    _errors: dict[bytes, list[RecordError]] = field(default_factory=dict, repr=False)
+
+    def until(self, ends_s: float) -> _Logged:
+        """Return the same records with another end of the time."""
+        return replace(self, ends_s=ends_s)
+
+    def in_any_time(self) -> _Logged:
+        return self.until(np.inf)
+
+    def _map(
+        self, task: Task[Answer] | Sequence[Task[Answer]], sources: Sequence[RecordSource]
+    ) -> list[Answer]:
+        if perf_counter() > self.ends_s:
+            raise TimeOverError
+        return self.workers.map(task, sources)
 
     @property
     def sensor_shape(self) -> Array:
@@ -262,13 +278,13 @@ class _Logged:
         return with_likely_noise(point, self.parts)
 
     def noise_removed(self, point: WorkingPoint) -> Array:
-        return np.concatenate(self.workers.map(partial(noise_removed, point), self.fitted))
+        return np.concatenate(self._map(partial(noise_removed, point), self.fitted))
 
     def errors(self, point: WorkingPoint) -> Sequence[RecordError]:
         """Return the free-run errors of the held-out records, kept for each point of a search."""
         key = pickle.dumps(point)
         if key not in self._errors:
-            self._errors[key] = self.workers.map(partial(record_error, point), self.kept)
+            self._errors[key] = self._map(partial(record_error, point), self.kept)
         return self._errors[key]
 
     def held_error(self, point: WorkingPoint) -> HeldError:
@@ -284,7 +300,7 @@ class _Logged:
     ) -> list[Linearised]:
         if only is None:
             whole = partial(linearise, point, candidates=tuple(candidates))
-            return self.workers.map(whole, self.fitted)
+            return self._map(whole, self.fitted)
         # Few parts would keep few workers busy: each is asked about some of the candidates.
         some = _split(candidates, _AT_A_TIME)
         tasks = [
@@ -293,7 +309,7 @@ class _Logged:
             for these in some
         ]
         sources = [self.fitted[part.record] for part in only for _ in some]
-        answers = self.workers.map(tasks, sources)
+        answers = self._map(tasks, sources)
         each = [answers[i : i + len(some)] for i in range(0, len(answers), len(some))]
         return [
             replace(own[0], beside=tuple(one for these in own for one in these.beside))
@@ -302,10 +318,10 @@ class _Logged:
 
     def shown(self, point: WorkingPoint, candidates: Sequence[Candidate]) -> list[Linearised]:
         chosen = tuple(candidates)
-        return self.workers.map(partial(shown_beyond, point, candidates=chosen), self.fitted)
+        return self._map(partial(shown_beyond, point, candidates=chosen), self.fitted)
 
     def held(self, point: WorkingPoint, candidates: Sequence[Candidate] = ()) -> list[Linearised]:
-        return self.workers.map(partial(linearise, point, candidates=tuple(candidates)), self.kept)
+        return self._map(partial(linearise, point, candidates=tuple(candidates)), self.kept)
 
 
 def _split(candidates: Sequence[Candidate], most: int) -> list[tuple[Candidate, ...]]:

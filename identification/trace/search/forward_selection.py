@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ from .predictive_criterion import HALF, Criterion, helps, is_worse, tested
 from .prescreening import shortlisted
 from .refine_with_candidate import refined_with
 from .regression import ColumnEvidence
-from .tested_candidate import FRICTION, HeldError, Records, Round, Tried, is_internal
+from .tested_candidate import FRICTION, HeldError, Records, Round, TimeOverError, Tried, is_internal
 
 Progress = Callable[[str, float], None]
 
@@ -58,12 +58,11 @@ def grown(
     records: Records,
     progress: Progress,
     options: SearchOptions,
-    ends_s: float = np.inf,
 ) -> Grown:
     """Add effects while held-out records confirm them.
 
-    It ends with `most` effects more, or with held-out errors of `enough` times what noise leaves.
-    No round begins after `ends_s` of `time.perf_counter`.
+    It ends with `most` effects more, with held-out errors of `enough` times what noise leaves, or
+    with its time, as far as it came.
     Every round ranks all candidates by regression, fits and tests those that explain most along the
     trajectories of the point, and fits the best of these with the whole model. It is taken if it
     passes the test again.
@@ -73,52 +72,55 @@ def grown(
     queue = CandidateQueue(point.placed)
     candidates = queue.candidates(effects)
     guides, most = 0, most + len(point.placed)
-    while error.squares > enough * error.floor and perf_counter() < ends_s:
-        near = error.squares < options.explained**2 * error.floor
-        explained = point.disturbance.measured and near
-        found, train, criterion = _screened(
-            point, candidates, explained, rounds, records, queue.is_open, progress, options
-        )
-        taken = found.taken
-        if taken is None or len(point.placed) >= most or queue.in_a_row >= options.patience:
-            rounds.append(replace(found, taken=None, alternatives=()))
-            break
-        progress(f"adding {taken.effect.name}", options.share_done(len(rounds)))
-        better, squares = refined_with(point, taken, train.squares, records)
-        taken = _tested_again(point, taken.at(better.placed[-1]), records, options)
-        better, squares, stood_in = without_stand_in(
-            better, squares, taken, rounds, records, options
-        )
-        if stood_in is None and guides < options.patience:
-            alone = without_guide(better, squares, train.excess, records, options)
-            after = error if alone is None else records.held_error(alone)
-            if alone is not None and is_worse(error, after, options):
-                # Nothing is accepted; candidates that led here may be tested again.
-                point, error, guides = alone, after, guides + 1
-                rounds.append(replace(found, taken=None))
-                continue
-        found = replace(found, taken=taken)
-        if taken.effect.key in LAWS and stood_in is None:
-            found, better, squares = _of_best_law(point, found, better, effects, records, options)
-            taken = found.taken or taken
-        better = records.with_estimated_noise(
-            without_idle(_believing(better, squares, train), records, options)
-        )
-        after = records.held_error(better)
-        stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
-        # What was foretold along the trajectories without it must come true.
-        comes_true = criterion.takes(replace(taken, gain=train.squares - squares))
-        if stays and comes_true and helps(taken, error, after, explained, criterion):
-            point, error = better, after
-            queue.take(taken, point.placed)
-        else:
-            found, stood_in = replace(found, taken=None), None
-            queue.refuse(taken)
-        if stood_in is None:
-            rounds.append(found)
-        else:  # it is as if it had been taken then
-            rounds[stood_in] = taken_instead(rounds[stood_in], taken.effect.identity)
-        candidates = queue.candidates(effects)
+    with suppress(TimeOverError):
+        while error.squares > enough * error.floor:
+            near = error.squares < options.explained**2 * error.floor
+            explained = point.disturbance.measured and near
+            found, train, criterion = _screened(
+                point, candidates, explained, rounds, records, queue.is_open, progress, options
+            )
+            taken = found.taken
+            if taken is None or len(point.placed) >= most or queue.in_a_row >= options.patience:
+                rounds.append(replace(found, taken=None, alternatives=()))
+                break
+            progress(f"adding {taken.effect.name}", options.share_done(len(rounds)))
+            better, squares = refined_with(point, taken, train.squares, records)
+            taken = _tested_again(point, taken.at(better.placed[-1]), records, options)
+            better, squares, stood_in = without_stand_in(
+                better, squares, taken, rounds, records, options
+            )
+            if stood_in is None and guides < options.patience:
+                alone = without_guide(better, squares, train.excess, records, options)
+                after = error if alone is None else records.held_error(alone)
+                if alone is not None and is_worse(error, after, options):
+                    # Nothing is accepted; candidates that led here may be tested again.
+                    point, error, guides = alone, after, guides + 1
+                    rounds.append(replace(found, taken=None))
+                    continue
+            found = replace(found, taken=taken)
+            if taken.effect.key in LAWS and stood_in is None:
+                found, better, squares = _of_best_law(
+                    point, found, better, effects, records, options
+                )
+                taken = found.taken or taken
+            better = records.with_estimated_noise(
+                without_idle(_believing(better, squares, train), records, options)
+            )
+            after = records.held_error(better)
+            stays = any(p.effect.identity == taken.effect.identity for p in better.placed)
+            # What was foretold along the trajectories without it must come true.
+            comes_true = criterion.takes(replace(taken, gain=train.squares - squares))
+            if stays and comes_true and helps(taken, error, after, explained, criterion):
+                point, error = better, after
+                queue.take(taken, point.placed)
+            else:
+                found, stood_in = replace(found, taken=None), None
+                queue.refuse(taken)
+            if stood_in is None:
+                rounds.append(found)
+            else:  # it is as if it had been taken then
+                rounds[stood_in] = taken_instead(rounds[stood_in], taken.effect.identity)
+            candidates = queue.candidates(effects)
     return Grown(point, error, tuple(rounds))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from ..search_options import SearchOptions
 from .forward_selection import Grown, Progress, grown
 from .gauss_newton import NEARLY, refine
 from .predictive_criterion import confirmed, tested
-from .tested_candidate import Records, Round, Tried
+from .tested_candidate import Records, Round, TimeOverError, Tried
 
 _HALF = 0.5
 """Of what was taken gained, as much as a rival has to gain to be tried in its place; and of what is
@@ -30,7 +29,6 @@ def otherwise(
     records: Records,
     progress: Progress,
     options: SearchOptions,
-    ends_s: float = np.inf,
 ) -> Grown:
     """Return a better result with one accepted effect replaced by a rival, else the given one.
 
@@ -49,8 +47,6 @@ def otherwise(
     ]
     best, least = found, _HALF * (found.error.squares - found.error.floor)
     for number, rival in ways[: options.patience]:
-        if perf_counter() > ends_s:
-            break
         at = options.share_done(len(found.rounds))
         progress(f"trying {rival.effect.name} instead", at)
         try:
@@ -58,7 +54,9 @@ def otherwise(
             if begun is None:
                 continue
             there = _staying(progress, at)
-            way = grown(begun, effects, most, 0.0, records, there, options, ends_s)
+            way = grown(begun, effects, most, 0.0, records, there, options)
+        except TimeOverError:
+            break
         except (ModelError, IdentificationError, np.linalg.LinAlgError):
             continue  # it leads nowhere, and what was found stays
         left = way.error.squares - way.error.floor

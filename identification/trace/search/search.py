@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from .hold_amplitudes_at_one import free_numbers, with_plain_amplitudes
 from .predictive_criterion import is_worse
 from .regression import ColumnEvidence, covariance, standard_errors
 from .replace_effect_by_rival import otherwise
-from .tested_candidate import Records, Round
+from .tested_candidate import Records, Round, TimeOverError
 
 Array = NDArray[np.float64]
 
@@ -52,15 +52,15 @@ def search(
     records: Records,
     progress: Progress,
     options: SearchOptions,
-    ends_s: float = np.inf,
 ) -> Found:
     """Search for effects by forward selection, with confirmation on held-out records.
 
     `point` is at its best already. Where much is left in the end another way is tried, and then
-    free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped. No
-    step begins after `ends_s` of `time.perf_counter`.
+    free-form forces (`unknown`); a name whose place they can take was a guess, and is dropped.
+    When the records' time is over, it returns what was confirmed before, and nothing is fitted any
+    more: the standard errors are those of the last fit.
     """
-    error = records.held_error(point)
+    error = records.in_any_time().held_error(point)
     if not np.isfinite(error.floor) or np.isnan(error.squares):
         raise IdentificationError(
             "expected a model whose free-run simulation of the held-out records is finite, found "
@@ -68,11 +68,11 @@ def search(
             "trace an unstable plant in closed loop"
         )
     begun = Grown(point, error, ())
-    found = grown(begun, effects, options.most_effects, 0.0, records, progress, options, ends_s)
+    found = grown(begun, effects, options.most_effects, 0.0, records, progress, options)
     if found.much_left(options):
         more = options.most_effects - len(found.point.placed) + len(point.placed)
-        found = otherwise(found, effects, more, records, progress, options, ends_s)
-    if found.much_left(options) and perf_counter() < ends_s:
+        found = otherwise(found, effects, more, records, progress, options)
+    if found.much_left(options):
         described = grown(
             found._replace(rounds=()),
             unknown,
@@ -81,20 +81,22 @@ def search(
             records,
             progress,
             options,
-            ends_s,
         )
         rounds = (*found.rounds, *described.rounds)
         found = found._replace(rounds=rounds)
         if described.point is not found.point:
-            point = without_guesses(described.point, records, options)
-            found = Grown(point, records.held_error(point), rounds)
-    return _settled(found, effects, records, options)
+            with suppress(TimeOverError):
+                point = without_guesses(described.point, records, options)
+                found = Grown(point, records.held_error(point), rounds)
+    with suppress(TimeOverError):
+        found = _settled(found, effects, records, options)
+    return _with_residuals(found, records.in_any_time(), options)
 
 
 def _settled(
     reached: Grown, effects: Sequence[Effect], records: Records, options: SearchOptions
-) -> Found:
-    """Fit the point to convergence, and return it with its residuals."""
+) -> Grown:
+    """Fit the point to convergence, and compare its effects with those that fit as well."""
     point, error, rounds = reached
     # What was fitted last was so while it was not known whether more would come.
     fitted, _ = refine(point, records, within=FULLY)
@@ -110,6 +112,12 @@ def _settled(
     point, rounds = with_equals(
         without_idle(point, records, options), rounds, effects, records, options
     )
+    return Grown(point, error, rounds)
+
+
+def _with_residuals(reached: Grown, records: Records, options: SearchOptions) -> Found:
+    """Return the point with standard errors and residuals."""
+    point, _, rounds = reached
     train, held = (gather(point, part) for part in (records.train(point), records.held(point)))
     free = free_numbers(point)
     errors = np.full(len(free), np.nan)

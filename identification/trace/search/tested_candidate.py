@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,18 @@ class HeldError:
     blocks: Array
 
 
+class TimeOverError(Exception):
+    """The time for a search is over; what was confirmed before stays."""
+
+
 class Records(Fitted, Protocol):
-    """The training records, and the held-out records of the test."""
+    """The training records, and the held-out records of the test.
+
+    All methods raise TimeOverError once the time for the search is over.
+    """
+
+    def in_any_time(self) -> Self:
+        """Return the same records, for what has to be done in any case."""
 
     @property
     def sensor_shape(self) -> Array:

@@ -18,6 +18,7 @@ from mass_on_spring_logs import imported
 from levid.config.base import parse_text
 from levid.config.model import ModelConfig
 from levid.identification.records.record import IdentificationError
+from levid.identification.trace import run_trace
 from levid.identification.trace.figure_data import views
 from levid.identification.trace.linearised.linearise_prediction_errors import linearise
 from levid.identification.trace.records.read_records import read_records
@@ -108,6 +109,24 @@ def test_a_search_without_time_says_what_it_has(logs: dict[str, list[Path]]) -> 
     found = trace(logs["cubic"], CONFIG, all_effects, Alone(CONFIG), lambda *_: None, most_s=0.0)
     assert found.found.point.placed == ()
     assert any("the search ended after 0 min" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("steps", [3, 10, 20, 40])
+def test_a_search_that_is_out_of_time_ends_with_what_it_had(
+    logs: dict[str, list[Path]], monkeypatch: pytest.MonkeyPatch, steps: int
+) -> None:
+    asked = 0
+
+    def clock() -> float:
+        nonlocal asked
+        asked += 1
+        return 0.0 if asked <= steps else 1e9
+
+    monkeypatch.setattr(run_trace, "perf_counter", clock)
+    found = traced(logs["cubic"])
+    assert {p.effect.name for p in found.found.point.placed} <= {"cubic stiffness"}
+    assert any("the search ended after 10 min" in note for note in found.notes)
+    assert asked < steps + 12  # each stage of the search asks once, and the residuals
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import numpy as np
 from ..model.second_order import StateSpace
 from .greybox.fit_in_loop import FittedLoop
 from .greybox.identify_greybox import GreyBox
+from .greybox.modes.mode_shapes import ModeShape
 from .json_data import plain_json
 from .nonparametric.markov_parameters import MarkovEstimate
 from .nonparametric.robust_multisine import BestLinearApproximation
@@ -251,10 +252,23 @@ def _grey_box(grey: GreyBox) -> dict[str, Any]:
     }
 
 
+def _shape(shape: ModeShape) -> dict[str, Any]:
+    return {
+        "motion": shape.shape,
+        "se": shape.se,
+        "sensors_m": shape.sensors_m,
+        "rigid": shape.rigid,
+        "single": shape.single,
+        "drive_by_coil": shape.reach,
+        "coils_m": shape.coils_m,
+        "agreement_with_wrench": shape.agreement,
+    }
+
+
 def _loop(loop: FittedLoop) -> dict[str, Any]:
     band, fit = loop.band, loop.fit
     modes = []
-    for mode in sorted(fit.modes, key=lambda m: m.omega):
+    for mode, shape in loop.modes:
         frequency_se_hz, damping_se = fit.mode_errors(mode)
         modes.append(
             {
@@ -264,6 +278,7 @@ def _loop(loop: FittedLoop) -> dict[str, Any]:
                 "damping": mode.damping,
                 "damping_se": damping_se,
                 "strength": mode.strength,
+                "shape": None if shape is None else _shape(shape),
             }
         )
     return {

@@ -18,6 +18,7 @@ from scipy.linalg import expm
 from levid.identification.covariance_scaling import correlation
 from levid.identification.greybox.experiment.control_loop import ControlLoop
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.sensor_readings import SensorReadings
 from levid.model.controller import pi_controller
 
 Array = NDArray[np.float64]
@@ -178,7 +179,7 @@ def flights(
             v = np.zeros((rows, 3))
             rng = np.random.default_rng([seed, b, axis, 0])
             v[:, axis] = RMS[axis] * _signal(excitation, rows, Ts_s, rng)
-            y, u = _fly(platform, x_b_m, v, Ts_s, [seed, b, axis, 1])
+            y, u, gaps = _fly(platform, x_b_m, v, Ts_s, [seed, b, axis, 1])
             zero = np.zeros((rows, 3))
             loop = ControlLoop(v, zero, np.tile(ff, (rows, 1)), zero, pi_controller(KP, KI, Ts_s))
             found.append(
@@ -188,6 +189,9 @@ def flights(
                     frozenset({"a_b"}), False, 1, loop, True, hold="zoh",
                     correlations=(correlation(COILS.T @ COILS), correlation(T @ T.T)),
                     spans={"x_b": 0.2, "v_b": 1.0, "a_b": 1.0},
+                    readings=SensorReadings(
+                        gaps.astype(np.float32), COILS[:, [1, 0]], COILS[:, [1, 0]], COILS, COILS
+                    ),
                 )
             )  # fmt: skip
     return found
@@ -206,7 +210,7 @@ def _signal(excitation: str, rows: int, Ts_s: float, rng: np.random.Generator) -
 
 def _fly(
     platform: Platform, x_b_m: float, v: Array, Ts_s: float, seed: Sequence[int]
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
     rng, substeps = np.random.default_rng(seed), round(Ts_s / STEP_S)
     A, B, yielding, C, _ = platform.matrices(x_b_m)
     n, lag = len(A), NOMINAL["lag"]
@@ -238,11 +242,12 @@ def _loop(  # type: ignore[no-untyped-def]
     A, B, C, T, kp, ki, v, sensor, amplifier, step, substeps, k, yields, z_b, rates
 ):
     n, springs = len(v), len(yields)
-    y, u = np.zeros((n, 3)), np.zeros((n, 3))
+    y, u, gaps = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 9))
     x, integral, inputs = np.zeros(len(A)), np.zeros(3), np.zeros(19)
     strain, last = np.zeros(springs), 0.0
     for i in range(n):
-        y[i] = T @ (np.round((C @ x + sensor[i]) / step) * step)
+        gaps[i] = np.round((C @ x + sensor[i]) / step) * step
+        y[i] = T @ gaps[i]
         integral -= ki * y[i]
         u[i] = v[i] - kp * y[i] + integral
         for j in range(substeps):
@@ -255,4 +260,4 @@ def _loop(  # type: ignore[no-untyped-def]
                 inputs[18] = k * delta - k / springs * strain.sum()
             x = A @ x + B @ inputs
         inputs[:9] = T.T @ u[i]
-    return y, u
+    return y, u, gaps

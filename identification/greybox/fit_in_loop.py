@@ -18,6 +18,8 @@ from .fit import Fit
 from .free_parameters import free_parameters
 from .modes.identify_in_loop import LoopFit, identify_in_loop
 from .modes.lines_by_point import lines_by_point
+from .modes.mode import Mode
+from .modes.mode_shapes import ModeShape, mode_shapes
 from .modes.valid_band import ValidBand, valid_band
 from .moving_records import determined
 
@@ -37,6 +39,14 @@ class FittedLoop:
     fit: LoopFit
     band: ValidBand
     over_noise: float
+    shapes: tuple[ModeShape | None, ...]
+    """Shapes over the sensors of the fit's modes, in their order; None where none is seen."""
+
+    @property
+    def modes(self) -> tuple[tuple[Mode, ModeShape | None], ...]:
+        """The modes beside the declared model with their shapes, by frequency."""
+        pairs = zip(self.fit.modes, self.shapes, strict=True)
+        return tuple(sorted(pairs, key=lambda pair: pair[0].omega))
 
     @property
     def unexplained(self) -> float:
@@ -99,7 +109,9 @@ def fit_in_loop(
     names = {e.name for e in rest}
     compared = [e for e in held_out or experiments if e.name in names and not e.moving]
     whole = replace(found, plant=replace(found.plant, model=model))
-    return fit, FittedLoop(whole, valid_band(found), _over_noise(found, compared))
+    return fit, FittedLoop(
+        whole, valid_band(found), _over_noise(found, compared), mode_shapes(found, rest)
+    )
 
 
 def _with_held(found: LoopFit) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:

@@ -25,7 +25,7 @@ from ..plotting.number_format import chance, interval, plain, to_interval
 from ..plotting.style import LineStyle, signed
 from .closed_loop import HO_KALMAN
 from .greybox import GreyBoxReport
-from .loop_words import modes_table
+from .loop_words import modes_table, shape_parts
 
 Array = NDArray[np.float64]
 
@@ -72,6 +72,7 @@ def _parameter_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     loop = report.grey.loop
     if loop is not None and loop.fit.modes:
         parts.append(modes_table(loop, report.signals.output_symbols))
+        parts += shape_parts(loop)
     parts += [Text(f"{u}; {_if_fitted(u, declared)}.") for u in held.values()]
     return tuple(parts)
 

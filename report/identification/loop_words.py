@@ -6,11 +6,19 @@ import numpy as np
 
 from ...identification.greybox.fit_in_loop import FittedLoop
 from ...identification.greybox.modes.mode import Mode
+from ...identification.greybox.modes.mode_shapes import ModeShape
 from ...identification.loop_spectra.residual_spectrum import NOT_WHITE
-from ..plotting.html_page import Number, Table, Verdict
+from ...identification.subspace.response_uncertainty import SURE_95
+from ..figures.mode_shapes import DrawnShape, mode_shapes
+from ..plotting.figure_to_svg import Picture, to_svg
+from ..plotting.html_page import Number, Part, Table, Text, Verdict
 from ..plotting.number_format import interval
 from ..session.session_page import listed
 
+_SINGLE = 0.5
+"""Share of what the sensors show below which it is no single shape."""
+_LITTLE = 5.0
+"""Percent of a shape below which it is rigid, up to its errors."""
 _KINDS = {"bending": "bending of the structure", "attached": "a body that moves on the structure"}
 
 
@@ -87,7 +95,7 @@ def whiteness_words(loop: FittedLoop) -> str:
 def modes_table(loop: FittedLoop, outputs: tuple[str, ...]) -> Table:
     """Return the modes beside the declared model, with intervals."""
     rows = []
-    for mode in loop.fit.modes:
+    for mode, shape in loop.modes:
         frequency, damping = loop.fit.mode_errors(mode)
         rows.append(
             (
@@ -95,13 +103,60 @@ def modes_table(loop: FittedLoop, outputs: tuple[str, ...]) -> Table:
                 interval(mode.damping, damping),
                 _KINDS[mode.kind],
                 ", ".join(f"{o} {x:+.2f}" for o, x in zip(outputs, _shape(mode), strict=True)),
+                "—" if shape is None else f"{100.0 * shape.beyond_wrench:.3g} %",
             )
         )
     return Table(
         "Modes that the declared model lacks, with 95 % intervals. Shape: motion of the outputs, "
-        "each over its own compliance at this frequency",
-        ("frequency in Hz", "damping ratio ζ", "kind", "shape"),
+        "each over its own compliance at this frequency. Unseen: share of the squared motion of "
+        "the sensors that is beyond rigid motion, so that the outputs do not have it",
+        ("frequency in Hz", "damping ratio ζ", "kind", "shape", "unseen"),
         tuple(rows),
+    )
+
+
+def shape_parts(loop: FittedLoop) -> tuple[Part, ...]:
+    """Return the picture of the modes' shapes, and whether the coils reach them."""
+    seen = [(mode, shape) for mode, shape in loop.modes if shape is not None]
+    if not seen:
+        return ()
+    drawn = [
+        DrawnShape(f"{mode.freq_hz:.4g} Hz, {_KINDS[mode.kind].split()[0]}", shape)
+        for mode, shape in seen
+    ]
+    worst = max(float(shape.se.max()) for _, shape in seen)
+    listed_modes = listed([f"{mode.freq_hz:.3g} Hz" for mode, _ in seen])
+    picture = Picture(
+        "mode-shapes",
+        to_svg(mode_shapes(drawn)),
+        f"Shapes of the modes at {listed_modes} on the platform.",
+        "Motion at each sensor over the largest, from the spectra of the single sensors around "
+        f"each mode; 95 % within ±{SURE_95 * worst:.2g}. Above: grey at rest, coloured moved. "
+        "Below: from above, x to the right, y up.",
+    )
+    return picture, *(Text(_reach_words(mode, shape)) for mode, shape in seen)
+
+
+def _reach_words(mode: Mode, shape: ModeShape) -> str:
+    where = f"{mode.freq_hz:.3g} Hz"
+    if shape.single < _SINGLE:
+        return (
+            f"{where}: only {100.0 * shape.single:.2g} % of what the sensors show has one shape: "
+            "another mode may be close to it."
+        )
+    if shape.reach is None:
+        return f"{where}: whether the coils reach it is unknown, as no sensors are at their places."
+    coil = int(np.argmax(np.abs(shape.reach)))
+    unseen = 100.0 * shape.beyond_wrench
+    by_coils = (
+        "only the wrench drives it"
+        if unseen < _LITTLE
+        else f"{unseen:.2g} % of the drive by single coils is beyond the wrench"
+    )
+    return (
+        f"{where}: the coils reach it, coil {coil} most; {by_coils}. With coils at the sensors' "
+        f"places drive and shape are the same by reciprocity; {100.0 * shape.agreement:.3g} % of "
+        "the drive by the wrench, as measured, agrees with that."
     )
 
 

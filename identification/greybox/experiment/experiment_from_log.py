@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ....config.base import parse_text
 from ....config.model import ModelConfig
+from ....config.rig import Geometry
 from ....config.units import known_unit
 from ....log.importing.signals_yaml import Role, SignalsFile
 from ....log.reader import Log
@@ -36,6 +37,7 @@ from ...records.record import IdentificationError, Record
 from ...records.resampling import resample
 from .control_loop import ControlLoop, imported_loop
 from .intersample_input import Hold
+from .sensor_readings import SensorReadings
 
 Array = NDArray[np.float64]
 
@@ -94,6 +96,8 @@ class Experiment:
     """Range of each scheduling variable in the model."""
     by_coil: bool = False
     """Whether coils are excited one by one, and not by the wrench alone."""
+    readings: SensorReadings | None = None
+    """Readings of the single sensors from which the outputs were computed; None if not logged."""
 
     @property
     def causes(self) -> Array | None:
@@ -115,6 +119,7 @@ class Experiment:
             schedule=schedule,
             loop=self.loop and self.loop.rows(cut),
             commanded=None if self.commanded is None else self.commanded[cut],
+            readings=self.readings and self.readings.rows(cut),
         )
 
 
@@ -244,6 +249,21 @@ def _flown(log: Log) -> Experiment:
         hold="zoh",
         correlations=(correlation(S.T @ S), correlation(T @ T.T)),
         by_coil=bool(np.any(coils)),
+        readings=_readings(log, geometry, S),
+    )
+
+
+def _readings(log: Log, geometry: Geometry, forces: Array) -> SensorReadings | None:
+    """Return the gaps of a rig log, None for a log without them."""
+    if "gap_m" not in (log.rows.dtype.names or ()):
+        return None
+    x, y = geometry.sensors_x_m, geometry.sensors_y_m
+    return SensorReadings(
+        np.ascontiguousarray(log.rows["gap_m"], dtype=np.float32),
+        np.stack([x, y], axis=1),
+        np.stack([geometry.coil_x_m, geometry.coil_y_m], axis=1),
+        shape_matrix(x, y),
+        forces,
     )
 
 

@@ -16,7 +16,15 @@ Origin = Literal["declared", "bending", "attached"]
 def natural_modes(
     plant: LinearPlant, schedule: Mapping[str, float]
 ) -> tuple[tuple[float, Origin], ...]:
-    """Return the natural frequencies in Hz at a point of the schedule, and what each belongs to.
+    """Return the natural frequencies in Hz at a point of the schedule, and what each belongs to."""
+    poles = natural_poles(plant, schedule)
+    return tuple((abs(s) / (2.0 * np.pi), origin) for s, origin in poles)
+
+
+def natural_poles(
+    plant: LinearPlant, schedule: Mapping[str, float]
+) -> tuple[tuple[complex, Origin], ...]:
+    """Return the poles in rad/s with positive imaginary part, by size, and what each belongs to.
 
     A body on the structure moves with it: its resonance is above that of the body on a base at
     rest. An oscillation belongs to a body if most of its speed is there.
@@ -37,12 +45,15 @@ def natural_modes(
         scale[k] = np.sqrt(mass) if mass > 0.0 else 1.0
     zero, eye = np.zeros_like(M), np.eye(n + b)
     s, v = eig(np.block([[zero, eye], [-K, -D]]), np.block([[eye, zero], [zero, M]]))
-    found: list[tuple[float, Origin]] = []
+    found: list[tuple[complex, Origin]] = []
     for pole, vector in zip(s, v.T, strict=True):
         if pole.imag < 0.0 or not np.isfinite(pole) or pole == 0.0:
             continue
         energy = np.abs(scale * vector[: n + b]) ** 2
         of_body = float(energy[n:].sum()) > 0.5 * float(energy.sum())
-        found.append((float(abs(pole)) / (2.0 * np.pi), "attached" if of_body else "declared"))
-    found += [(m.freq_hz, "bending") for m in plant.modes if m.kind == "bending"]
-    return tuple(sorted(found))
+        found.append((complex(pole), "attached" if of_body else "declared"))
+    for m in plant.modes:
+        if m.kind == "bending":
+            s = m.omega * (-m.damping + 1j * np.sqrt(max(1.0 - m.damping**2, 0.0)))
+            found.append((complex(s), "bending"))
+    return tuple(sorted(found, key=lambda one: abs(one[0])))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,14 @@ from levid.config.model import load_model
 from levid.config.shipped import shipped
 from levid.identification.greybox.fit_in_loop import FittedLoop, fit_in_loop
 from levid.identification.greybox.modes.valid_band import valid_band
-from levid.report.identification.loop_words import loop_answer, loop_numbers, modes_table
+from levid.report.identification.loop_words import (
+    loop_answer,
+    loop_numbers,
+    modes_table,
+    shape_parts,
+)
+from levid.report.plotting.figure_to_svg import Picture
+from levid.report.plotting.html_page import Text
 
 RIGID_HZ, NOISE_MOST = 8.9, 1.5
 
@@ -71,8 +79,22 @@ def test_a_nonlinear_part_is_said_with_its_frequency_and_size(bent: FittedLoop) 
 
 
 def test_table_of_modes_has_intervals_and_a_shape(bent: FittedLoop) -> None:
-    ((frequency, damping, kind, shape),) = modes_table(bent, ("psi", "theta", "z")).rows
+    ((frequency, damping, kind, shape, unseen),) = modes_table(bent, ("psi", "theta", "z")).rows
     assert frequency.startswith("95.0") or frequency.startswith("94.9")
     assert "±" in damping
     assert kind == "bending of the structure"
     assert [part.split()[0] for part in shape.split(", ")] == ["psi", "theta", "z"]
+    assert 50.0 < float(unseen.removesuffix(" %")) < 100.0
+
+
+def test_picture_of_the_shapes_and_whether_coils_reach_them(bent: FittedLoop) -> None:
+    picture, words = shape_parts(bent)
+    assert isinstance(picture, Picture)
+    assert "95 Hz" in picture.alt
+    assert isinstance(words, Text)
+    assert re.search(r"95 Hz: the coils reach it, coil 0 most; \d+ % of the drive", words.text)
+    other = replace(bent.shapes[0], reach=None)
+    (_, unknown) = shape_parts(replace(bent, shapes=(other,)))
+    assert isinstance(unknown, Text)
+    assert "whether the coils reach it is unknown" in unknown.text
+    assert shape_parts(replace(bent, shapes=(None,))) == ()

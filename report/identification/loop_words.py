@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...identification.greybox.fit_in_loop import FittedLoop
@@ -13,12 +15,14 @@ from ..figures.mode_shapes import DrawnShape, mode_shapes
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Number, Part, Table, Text, Verdict
 from ..plotting.number_format import interval
+from ..plotting.style import signed
 from ..session.session_page import listed
 
 _SINGLE = 0.5
 """Share of what the sensors show below which it is no single shape."""
 _LITTLE = 5.0
 """Percent of a shape below which it is rigid, up to its errors."""
+_SHORT = {"bending": "bending", "attached": "a body's motion"}
 _KINDS = {"bending": "bending of the structure", "attached": "a body that moves on the structure"}
 
 
@@ -102,7 +106,9 @@ def modes_table(loop: FittedLoop, outputs: tuple[str, ...]) -> Table:
                 interval(mode.freq_hz, frequency),
                 interval(mode.damping, damping),
                 _KINDS[mode.kind],
-                ", ".join(f"{o} {x:+.2f}" for o, x in zip(outputs, _shape(mode), strict=True)),
+                ", ".join(
+                    f"{o} {signed(x, 2)}" for o, x in zip(outputs, _shape(mode), strict=True)
+                ),
                 "—" if shape is None else f"{100.0 * shape.beyond_wrench:.3g} %",
             )
         )
@@ -121,43 +127,55 @@ def shape_parts(loop: FittedLoop) -> tuple[Part, ...]:
     if not seen:
         return ()
     drawn = [
-        DrawnShape(f"{mode.freq_hz:.4g} Hz, {_KINDS[mode.kind].split()[0]}", shape)
-        for mode, shape in seen
+        DrawnShape(f"{mode.freq_hz:.4g} Hz, {_SHORT[mode.kind]}", shape) for mode, shape in seen
     ]
-    worst = max(float(shape.se.max()) for _, shape in seen)
-    listed_modes = listed([f"{mode.freq_hz:.3g} Hz" for mode, _ in seen])
+    where = listed([f"{mode.freq_hz:.3g} Hz" for mode, _ in seen])
+    within = listed([f"{SURE_95 * float(shape.se.max()):.2g}" for _, shape in seen])
     picture = Picture(
         "mode-shapes",
         to_svg(mode_shapes(drawn)),
-        f"Shapes of the modes at {listed_modes} on the platform.",
+        f"Shapes of the modes at {where} on the platform.",
         "Motion at each sensor over the largest, from the spectra of the single sensors around "
-        f"each mode; 95 % within ±{SURE_95 * worst:.2g}. Above: grey at rest, coloured moved. "
-        "Below: from above, x to the right, y up.",
+        f"each mode; 95 % within ± {within}. Above: grey at rest, coloured moved. Below: from "
+        "above, x to the right, y up.",
     )
-    return picture, *(Text(_reach_words(mode, shape)) for mode, shape in seen)
+    return picture, Text(" ".join([_reciprocity(seen), *(_drive(*one) for one in seen)]).strip())
 
 
-def _reach_words(mode: Mode, shape: ModeShape) -> str:
+def _reciprocity(seen: Sequence[tuple[Mode, ModeShape]]) -> str:
+    """Return why the sensors tell what the coils reach, and how well the measured drive agrees."""
+    if any(shape.reach is None for _, shape in seen):
+        return "Whether the coils reach these modes is unknown, as no sensors are at their places."
+    least = 100.0 * min(shape.agreement for _, shape in seen)
+    return (
+        "Sensors are at the coils' places, so by reciprocity each coil drives a mode as much as "
+        "its sensor sees of it; the measured drive by the wrench agrees with that to "
+        f"{least:.3g} % or more."
+    )
+
+
+def _drive(mode: Mode, shape: ModeShape) -> str:
+    """Return which coils reach a mode, and whether they do so without a wrench."""
     where = f"{mode.freq_hz:.3g} Hz"
     if shape.single < _SINGLE:
         return (
-            f"{where}: only {100.0 * shape.single:.2g} % of what the sensors show has one shape: "
+            f"{where}: only {100.0 * shape.single:.2g} % of what the sensors show has one shape; "
             "another mode may be close to it."
         )
     if shape.reach is None:
-        return f"{where}: whether the coils reach it is unknown, as no sensors are at their places."
+        return ""
     coil = int(np.argmax(np.abs(shape.reach)))
     unseen = 100.0 * shape.beyond_wrench
-    by_coils = (
-        "only the wrench drives it"
-        if unseen < _LITTLE
-        else f"{unseen:.2g} % of the drive by single coils is beyond the wrench"
-    )
+    if unseen < _LITTLE:
+        return f"{where}: coil {coil} most; only the wrench drives it."
     return (
-        f"{where}: the coils reach it, coil {coil} most; {by_coils}. With coils at the sensors' "
-        f"places drive and shape are the same by reciprocity; {100.0 * shape.agreement:.3g} % of "
-        "the drive by the wrench, as measured, agrees with that."
+        f"{where}: coil {coil} most; {unseen:.2g} % of the squared drive is in forces that have no "
+        "wrench."
     )
+
+
+def _of_output(name: str, motion: float) -> str:
+    return f"{name} {signed(motion, 2)}"
 
 
 def _shape(mode: Mode) -> np.ndarray:

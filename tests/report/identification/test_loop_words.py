@@ -92,9 +92,9 @@ def test_picture_of_the_shapes_and_whether_coils_reach_them(bent: FittedLoop) ->
     assert isinstance(picture, Picture)
     assert "95 Hz" in picture.alt
     assert isinstance(words, Text)
-    assert re.search(r"95 Hz: the coils reach it, coil 0 most; \d+ % of the drive", words.text)
+    assert re.search(r"by reciprocity .* 95 Hz: coil 0 most; \d+ % of the", words.text)
     other = replace(bent.shapes[0], reach=None)
     (_, unknown) = shape_parts(replace(bent, shapes=(other,)))
     assert isinstance(unknown, Text)
-    assert "whether the coils reach it is unknown" in unknown.text
+    assert "Whether the coils reach these modes is unknown" in unknown.text
     assert shape_parts(replace(bent, shapes=(None,))) == ()

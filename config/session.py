@@ -145,7 +145,8 @@ class RecordStep(Strict):
     `fade_s`. With `orthogonal` the record lasts realisations x inputs x periods x `period_s`, plus
     `fade_s`. With `each_s` the excitations play one after the other, each for `each_s` at full
     level; the next one fades in while the last one fades out. `scale` multiplies the levels of the
-    excitations. The trajectories `beam` and `rotor` repeat until the record ends.
+    excitations. The trajectories `beam` and `rotor` repeat until the record ends. Without
+    `beam_feedforward` the feed-forward does not carry the moving beam: it disturbs the platform.
     """
 
     name: Name
@@ -158,6 +159,7 @@ class RecordStep(Strict):
     fade_s: Pause = 0.5
     beam: tuple[Waypoint, ...] = ()
     rotor: tuple[RotorWaypoint, ...] = ()
+    beam_feedforward: bool = True
 
     @model_validator(mode="after")
     def _long_enough(self) -> Self:
@@ -175,6 +177,11 @@ class RecordStep(Strict):
             raise ValueError(
                 "expected no trajectory with 'orthogonal', found "
                 f"{'beam' if self.beam else 'rotor'}: beam and rotor must be at rest"
+            )
+        if not self.beam_feedforward and not self.beam:
+            raise ValueError(
+                "beam_feedforward: expected false with a trajectory 'beam' only, found none: a "
+                "beam at rest does not disturb the platform"
             )
         if self.each_s is not None and not self.excite:
             raise ValueError("expected excitations in 'excite' with 'each_s', found none")

@@ -35,7 +35,7 @@ _BEAM_MARGIN, _BEAM_MARGIN_M_S = 1.5, 0.05
 _MOST_CARRIED = 10.0
 
 # Rows of the memory, see controller_memory.
-_POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _REF, _FF, _TAU, _LOST = range(ROWS)
+_POSE, _INTEGRAL, _REST, _GOAL, _LAST, _MODE, _BEAM_FF, _REF, _FF, _TAU, _LOST = range(ROWS)
 
 
 class Controller:
@@ -112,11 +112,13 @@ class Controller:
         halt or a fault, any other segment stays at zero force.
         """
         memory = self._memory
+        memory[_BEAM_FF, 0] = segment.beam_feedforward
         self._engaged = segment.in_control and (segment.engages or self._engaged)
         if segment.engages:
             memory[_REST] = memory[_POSE]
             memory[_INTEGRAL] = 0.0
             memory[_GOAL] = 0.0, 0.0, 0.0, 1.0
+            memory[_BEAM_FF, 1] = segment.beam_feedforward
             self._sensors.engage()
         if segment.lands:
             memory[_GOAL] = memory[_LAST]
@@ -301,20 +303,26 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
     if judged and check_sensors(gap, pose, stale, checks):
         fault = _SENSOR
     active = in_control and fault == 0
+    carries_beam, carried_beam = memory[_BEAM_FF, 0], memory[_BEAM_FF, 1]
     if active:
         for i in range(3):
             ref[i] = rest[i] + blend[0] * (goal[i] - rest[i])
             last[i] = ref[i]
         last[3] = blend[1] * goal[3]
-        ff[1] = last[3] * beam_weight * beam[0]
+        # Bumpless: what the feed-forward no longer carries of a resting beam, the integrators do.
+        taken_over = last[3] * (carried_beam - carries_beam) * beam[0]
+        integral[1] += taken_over * beam_weight
+        memory[_BEAM_FF, 1] = carries_beam
+        ff[1] = last[3] * beam_weight * beam[0] * carries_beam
         ff[2] = last[3] * (weight + rods * ref[2])
         at = min(k, len(beam_all) - 1)
         for i in range(3):
-            carried = by_model[i, 0] + by_model[i, 4] * beam[0]
+            integral[i] += taken_over * by_model[i, 4]
+            carried = by_model[i, 0] + carries_beam * by_model[i, 4] * beam[0]
             for j in range(3):
                 carried += by_model[i, 1 + j] * ref[j]
             for j in range(1, 3):
-                carried += by_model[i, 4 + j] * beam_all[at, j]
+                carried += carries_beam * by_model[i, 4 + j] * beam_all[at, j]
             if carried != 0.0:  # keep -0.0 in the log of a rig without a model
                 ff[i] += last[3] * carried
             error = ref[i] - pose[i]
@@ -358,6 +366,7 @@ def control_cycle(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0915 - th
                 integral[i] -= increment
 
     steady = active and airborne and beam_ref[1] == 0.0 and rotor_ref[1] == 0.0
+    steady = steady and carries_beam == carried_beam
     note_command(coil, S_coils, ff, blend[2], steady, n_sensors, checks)
 
     for j in range(3):

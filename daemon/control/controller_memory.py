@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-ROWS = 10
+ROWS = 11
 """Rows (ROWS, 4) of state and scratch. Each array argument of a compiled function costs about 50 ns
 a call, and the cycle must not allocate: they share one block. After these rows follow, flat: coil
 heat (C,) in N^2, cycle of the heat, previous gaps (S,), cycle of the previous gaps, state of the

@@ -22,7 +22,9 @@ class Segment:
     setpoints of position, velocity and acceleration; blend (n, 3): reference from the pose at rest
     (0) to the working point (1), fraction of the feed-forward, fraction of the total force.
     `engages`: control starts from the current pose. `lands`: reference and feed-forward fade out
-    from their current values. `checks`: the coil check evaluates the readings after the segment.
+    from their current values. `beam_feedforward`: the feed-forward carries the beam; where this
+    changes, the integrators take over the weight of the beam, or give it back. `checks`: the coil
+    check evaluates the readings after the segment.
     """
 
     state: State
@@ -36,6 +38,7 @@ class Segment:
     airborne: bool = True
     engages: bool = False
     lands: bool = False
+    beam_feedforward: bool = True
     checks: Pushes | None = None
 
 

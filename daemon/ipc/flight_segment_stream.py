@@ -43,6 +43,7 @@ class Announced(NamedTuple):
     airborne: int
     engages: int
     lands: int
+    beam_feedforward: int
     last: int
     number: int = 0
     check: int = 0
@@ -94,6 +95,7 @@ class SegmentStream:
             bool(announced.airborne),
             bool(announced.engages),
             bool(announced.lands),
+            bool(announced.beam_feedforward),
         )
 
     def announce(self, announced: Announced) -> None:
@@ -199,6 +201,7 @@ class SegmentFeeder:
                     segment.airborne,
                     segment.engages,
                     segment.lands,
+                    segment.beam_feedforward,
                     self._following is None,
                 )
             )

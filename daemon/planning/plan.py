@@ -42,6 +42,7 @@ class PlannedStep:
 
     `excitation` computes that of a record block by block; it is None where nothing is excited, and
     if the plan was read from a file. `beam_m` is where the beam is at the start of the step.
+    `disturbing_beam` is the beam's motion if the feed-forward does not carry it.
     """
 
     index: int
@@ -51,6 +52,7 @@ class PlannedStep:
     segments: Callable[[], list[Segment]]
     beam_m: float = 0.0
     excitation: RecordExcitation | None = None
+    disturbing_beam: point_to_point.Repeated | None = None
 
 
 @dataclass(frozen=True)
@@ -158,19 +160,23 @@ class _Planner:
         return Plan(self.session.name, self.rate_hz, tuple(steps))
 
     def step(self, step: Step, index: int, where: str) -> PlannedStep:
-        excitation, beam_m = None, self.beam_m
+        excitation, disturbing_beam, beam_m = None, None, self.beam_m
         if step.levitate is not None:
             cycles, segments = self.levitate(step.levitate, where)
         elif step.move is not None:
             cycles, segments = self.move(step.move, where)
         elif step.record is not None:
             played = self.excitation(step.record, index, where)
-            cycles, segments = self.record(step.record, played, where)
+            beam = self.beam_trajectory(step.record, played.cycles, where)
+            cycles, segments = self.record(step.record, played, beam, where)
             excitation = played if step.record.excite else None
+            disturbing_beam = None if step.record.beam_feedforward else beam
         else:
             cycles, segments = self.land(step.land or Land())
         name = step.record.name if step.record else step.kind
-        return PlannedStep(index, step.kind, name, cycles, segments, beam_m, excitation)
+        return PlannedStep(
+            index, step.kind, name, cycles, segments, beam_m, excitation, disturbing_beam
+        )
 
     def levitate(self, step: Levitate, where: str) -> tuple[int, Callable[[], list[Segment]]]:
         idle, settle = self.n(_IDLE_S), self.n(step.settle_s)
@@ -242,26 +248,34 @@ class _Planner:
         )
 
     def record(
-        self, step: RecordStep, excitation: RecordExcitation, where: str
+        self,
+        step: RecordStep,
+        excitation: RecordExcitation,
+        beam: point_to_point.Repeated | None,
+        where: str,
     ) -> tuple[int, Callable[[], list[Segment]]]:
         n, settle = excitation.cycles, self.n(step.settle_s)
         beam_before, rotor_before = self.still()
-        beam = self.beam_trajectory(step, n, where) if step.beam else None
+        if beam is not None:
+            self.beam_m = beam.end
         rotor = self.rotor_trajectory(step, n, where) if step.rotor else None
         moves = bool(step.beam or step.rotor)
         state = State.MOVING if moves and not step.excite else State.EXCITING
 
         def segments() -> list[Segment]:
+            # The feed-forward of the whole log is the same: identification sees no step in it.
+            settling = self.flying(State.LEVITATING, settle, beam_before, rotor_before)
+            recording = Segment(
+                state,
+                n,
+                *excitation.arrays(),
+                _FLYING,
+                beam_before if beam is None else beam.setpoints(),
+                rotor_before if rotor is None else rotor.setpoints(),
+            )
             return [
-                self.flying(State.LEVITATING, settle, beam_before, rotor_before),
-                Segment(
-                    state,
-                    n,
-                    *excitation.arrays(),
-                    _FLYING,
-                    beam_before if beam is None else beam.setpoints(),
-                    rotor_before if rotor is None else rotor.setpoints(),
-                ),
+                replace(segment, beam_feedforward=step.beam_feedforward)
+                for segment in (settling, recording)
             ]
 
         peak_n = excitation.peak_n(self.T_coils, partial(self.report, step.name))
@@ -329,8 +343,12 @@ class _Planner:
                 f"{played / max(limit - carried, 1e-9):.1f} or more"
             )
 
-    def beam_trajectory(self, step: RecordStep, n: int, where: str) -> point_to_point.Repeated:
-        """Return the beam's motion for n cycles, which repeats its waypoints."""
+    def beam_trajectory(
+        self, step: RecordStep, n: int, where: str
+    ) -> point_to_point.Repeated | None:
+        """Return the beam's motion for n cycles, which repeats its waypoints; None without any."""
+        if not step.beam:
+            return None
         legs = [
             self.beam_leg(
                 point.to_m,
@@ -342,11 +360,9 @@ class _Planner:
             for number, point in enumerate(step.beam)
         ]
         try:
-            repeated = point_to_point.Repeated(self.beam_m, legs, n, 1 / self.rate_hz)
+            return point_to_point.Repeated(self.beam_m, legs, n, 1 / self.rate_hz)
         except ValueError as error:
             raise ConfigError(f"{where}.beam[0].to_m: {error}") from None
-        self.beam_m = repeated.end
-        return repeated
 
     def rotor_trajectory(self, step: RecordStep, n: int, where: str) -> point_to_point.Repeated:
         """Return the rotor's motion for n cycles, which repeats its waypoints."""

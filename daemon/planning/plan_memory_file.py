@@ -45,7 +45,7 @@ _HEADER = np.dtype(
 _STEPS = np.dtype(
     [("index", "<i8"), ("kind", "<i8"), ("cycles", "<i8"), ("segments", "<i8"), ("name", "S128")]
 )
-_FLAGS = ("in_control", "airborne", "engages", "lands")
+_FLAGS = ("in_control", "airborne", "engages", "lands", "beam_feedforward")
 _ARRAYS = ("v", "coil_excitation", "blend", "beam", "rotor")
 _SEGMENTS = np.dtype(
     [
@@ -218,14 +218,13 @@ def _read_segments(memory: memoryview, table: NDArray[np.void], coils: int) -> l
         v, coil_excitation, blend, beam, rotor = (
             _read_array(memory, row[name], _columns(name, coils)) for name in _ARRAYS
         )
-        in_control, airborne, engages, lands = (bool(row[flag]) for flag in _FLAGS)
+        flags = (bool(row[flag]) for flag in _FLAGS)
         push, pause, force_n = int(row["push"]), int(row["pause"]), float(row["force_n"])
         checks = Pushes(push, pause, force_n, coils) if push else None
         state, cycles = State(int(row["state"])), int(row["cycles"])
         found.append(
             Segment(
-                state, cycles, v, coil_excitation, blend, beam, rotor,
-                in_control, airborne, engages, lands, checks,
+                state, cycles, v, coil_excitation, blend, beam, rotor, *flags, checks=checks
             )
         )  # fmt: skip
     return found

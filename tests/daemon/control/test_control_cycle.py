@@ -93,6 +93,33 @@ def test_landing_starts_from_the_reference_and_feed_forward_at_hand() -> None:
     assert down["ff_z_n"][0] == up["ff_z_n"][0]
 
 
+def test_the_integrators_take_over_the_weight_of_a_beam_and_give_it_back() -> None:
+    bench = Bench()
+    level, at_rest = np.zeros((20, 9)), np.array([[0.05, 0.0, 0.0]])
+    flown = []
+    for carries, x_m in ((True, 0.05), (False, 0.05), (False, -0.03), (True, -0.03)):
+        bench.control.beam[0] = x_m
+        segment = flying(20, beam=at_rest, engages=not flown, beam_feedforward=carries)
+        flown.append(bench.run(segment, level))
+    torque = 1.4 * 9.81 * 0.05
+    # Without a control error the torque stays what it was with the beam at 50 mm.
+    for rows in flown:
+        np.testing.assert_allclose(rows["tau_theta_n_m"], torque, rtol=1e-6)
+    for rows, carried in zip(flown, (torque, 0.0, 0.0, -0.6 * torque), strict=True):
+        np.testing.assert_allclose(rows["ff_theta_n_m"], carried, rtol=1e-6)
+        np.testing.assert_allclose(rows["ff_z_n"], WEIGHT, rtol=1e-6)
+
+
+def test_a_braking_beam_is_carried_from_the_first_cycle_of_a_landing_on() -> None:
+    # Its reaction m_b z_b a is a force that acts now: the integrators must not cancel it.
+    bench, level = Bench(), np.zeros((1, 9))
+    moving = np.array([[0.0, 0.2, 2.0]])
+    bench.run(flying(1, beam=moving, beam_feedforward=False), level)
+    rows = bench.run(flying(1, beam=moving, engages=False, lands=True), level)
+    assert abs(rows["ff_theta_n_m"][0]) > 0.15
+    np.testing.assert_allclose(rows["tau_theta_n_m"], rows["ff_theta_n_m"], rtol=1e-6)
+
+
 @pytest.mark.parametrize("lands", [True, False])
 def test_nothing_but_engaging_brings_control_in(lands: bool) -> None:
     bench = Bench()

@@ -188,7 +188,7 @@ def stream() -> tuple[SegmentStream, ControlWords]:
 
 def test_segment_that_is_not_there_as_announced_is_not_flown() -> None:
     segments, words = stream()
-    announced = Announced(7, 1, 2, 100, 0, 1, 1, 0, 0, 1)
+    announced = Announced(7, 1, 2, 100, 0, 1, 1, 0, 0, 1, 1)
     assert segments.announced(0) is None  # nothing was announced
     segments.announce(announced)
     found = segments.announced(0)
@@ -220,7 +220,7 @@ def test_segment_and_rows_are_written_before_they_are_announced(
 
     segments._words = Words()  # type: ignore[assignment]
     monkeypatch.setattr(flight_segment_stream, "release", lambda: events.append("release"))
-    segments.announce(Announced(1, 1, 2, 5, 0, 1, 1, 0, 0, 1))
+    segments.announce(Announced(1, 1, 2, 5, 0, 1, 1, 0, 0, 1, 1))
     from levid.daemon.control.flight_segment import idle_segment
 
     segments.write(idle_segment(5, 9, np.zeros(3), np.zeros(3)), 0, 5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,56 @@ def test_a_session_that_leaves_the_range_is_refused_unless_overridden(rig: RigCo
 def test_a_session_without_excitation_passes(rig: RigConfig) -> None:
     quiet = parse_text(shipped("sessions/beam.yaml").read_text(), SessionConfig, "beam")
     finding = motion_finding(rig, plan_session(quiet, rig))
+    assert (finding.outcome, finding.found) == ("passed", "no excitation")
+
+
+SWEEP = """
+levid: session
+name: sweep
+steps:
+  - levitate: {settle_s: 1}
+  - move: {beam_m: 0.02, settle_s: 2}
+  - record:
+      name: sweep
+      duration_s: 4
+      settle_s: 0.5
+      beam_feedforward: false
+      beam: [{to_m: -0.02, velocity_m_s: 0.3, acceleration_m_s2: 3, dwell_s: 0.4}, {to_m: 0.02}]
+  - land: {}
+"""
+
+
+def test_a_beam_that_the_feed_forward_does_not_carry_is_predicted(
+    rig: RigConfig, tmp_path: Path
+) -> None:
+    session = parse_text(SWEEP, SessionConfig, "session")
+    found = predicted_motion(rig, plan_session(session, rig))
+    assert found is not None
+    flown = fly_virtually(rig, RIG_FILE, session, SWEEP.encode(), tmp_path, lambda *_: None)
+    log = read_log(flown.records[0])
+    gap_m, tilt_rad = np.abs(log.field("gap_m")).max(), np.abs(log.field("theta_rad")).max()
+    # The prediction has the inertia of the beam at its start.
+    assert found.gap_m == pytest.approx(float(gap_m), rel=0.05)
+    assert found.tilt_rad == pytest.approx(float(tilt_rad), rel=0.05)
+    assert found.tilt_rad > 2e-3
+
+    # Of the beam's 0.27 N m at its start no hundredth comes as a step, at either end of the record.
+    steps = [read_log(path).field("tau_theta_n_m") for path in flown.logs]
+    ends = [abs(after[0] - before[-1]) for before, after in pairwise(steps)]
+    assert max(ends[1:]) < 2.7e-3
+    feed_forward = log.field("ff_theta_n_m")
+    assert np.all(feed_forward == feed_forward[0])
+    assert abs(feed_forward[0]) < 0.01  # the platform's own, of k_thetaz
+    assert np.abs(read_log(flown.logs[-1]).field("ff_theta_n_m")).max() > 0.2
+
+
+def test_a_sweep_that_leaves_the_range_is_refused(rig: RigConfig) -> None:
+    far = SWEEP.replace("0.02", "0.09")
+    finding = motion_finding(rig, plan_session(parse_text(far, SessionConfig, "session"), rig))
+    assert finding.failed
+    assert "step sweep: move the beam less far" in finding.remedy
+    carried = far.replace("beam_feedforward: false", "beam_feedforward: true")
+    finding = motion_finding(rig, plan_session(parse_text(carried, SessionConfig, "session"), rig))
     assert (finding.outcome, finding.found) == ("passed", "no excitation")
 
 

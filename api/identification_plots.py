@@ -19,7 +19,7 @@ from ..report.plotting.labelled_frequency_responses import (
     SignalLabels,
     shown_range,
 )
-from ..report.plotting.style import DOUBTFUL, TRUTH, LineStyle, line_of, position_label
+from ..report.plotting.style import TRUTH, LineStyle, doubtful, line_of, position_label
 from .notebook_figure import shown
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def _point_curve(point: ClosedLoopPoint | OpenLoopPoint, label: str, line: LineS
         return _with_interval(label, line, point.subspace.response)
     if point.trusted:
         return Curve(label, line, point.freq_hz, point.from_ho_kalman)
-    return Curve(f"{label}, not to be trusted", DOUBTFUL, point.freq_hz, point.from_ho_kalman)
+    return Curve(f"{label}, not to be trusted", doubtful(line), point.freq_hz, point.from_ho_kalman)
 
 
 def _with_interval(label: str, line: LineStyle, response: ModelResponse) -> Curve:

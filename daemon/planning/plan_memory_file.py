@@ -218,13 +218,13 @@ def _read_segments(memory: memoryview, table: NDArray[np.void], coils: int) -> l
         v, coil_excitation, blend, beam, rotor = (
             _read_array(memory, row[name], _columns(name, coils)) for name in _ARRAYS
         )
-        flags = (bool(row[flag]) for flag in _FLAGS)
+        flags = {flag: bool(row[flag]) for flag in _FLAGS}
         push, pause, force_n = int(row["push"]), int(row["pause"]), float(row["force_n"])
         checks = Pushes(push, pause, force_n, coils) if push else None
         state, cycles = State(int(row["state"])), int(row["cycles"])
         found.append(
             Segment(
-                state, cycles, v, coil_excitation, blend, beam, rotor, *flags, checks=checks
+                state, cycles, v, coil_excitation, blend, beam, rotor, **flags, checks=checks
             )
         )  # fmt: skip
     return found

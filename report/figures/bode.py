@@ -25,7 +25,7 @@ _Kind = Literal["magnitude", "phase"]
 
 _ROW_IN, _LOWER = 1.95, 0.8
 """Height of a row in inches, and that of a row below another of the same path, over it."""
-_DECADES_MOST = 4.5
+_DECADES_MOST = 5.5
 _DOMINANT = 1.5
 _NO_PHASE_DEG = 60.0
 

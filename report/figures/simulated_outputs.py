@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,8 +90,53 @@ def simulated_outputs(run: Simulated, *, sheet: Sheet = PAGE) -> Figure:
     return grid.figure
 
 
+def simulated_side_by_side(
+    runs: Sequence[Simulated], titles: Sequence[str], *, sheet: Sheet = PAGE
+) -> Figure:
+    """Draw a column with a title for each run: what moved, and each output, on the same axes."""
+    names, units = runs[0].names, runs[0].units
+    heights = [_SCHEDULE_IN] + [_OUTPUT_IN] * len(names)
+    legend: list[Artist] = [entry("measured", _MEASURED), entry("simulated", _SIMULATED)]
+    with drawing(sheet):
+        grid = new_grid((len(heights), len(runs)), sheet, heights, legend)
+        for row in range(len(heights)):
+            sources = [r.schedule[0].values if row == 0 else r.measured[:, row - 1] for r in runs]
+            together = np.concatenate(sources)
+            unit = runs[0].schedule[0].unit if row == 0 else units[row - 1]
+            scale, limits = _scale(together, unit), _limits(together)
+            for ax, run, title in zip(grid.axes[row], runs, titles, strict=True):
+                if row == 0:
+                    moved = run.schedule[0]
+                    plot_envelope(ax, envelope(run.t_s, moved.values, _BINS), _SCHEDULE, scale[0])
+                    ax.set_title(f"{moved.name}, {title}")
+                else:
+                    _draw_curves(ax, run, row - 1, scale[0])
+                ax.set_title(scale[1] + _shown(unit), loc="right", fontweight="normal")
+                ax.margins(x=0)
+                ax.set_ylim(scale[0] * limits[0], scale[0] * limits[1])
+                ax.tick_params(labelbottom=row == len(heights) - 1, length=2.5)
+        for ax in grid.axes[-1]:
+            ax.set_xlabel("time [s]")
+    return grid.figure
+
+
+def _limits(values: Array) -> tuple[float, float]:
+    known = values[np.isfinite(values)]
+    margin = 0.15 * float(np.ptp(known)) if known.size else 0.0
+    return (float(known.min()) - margin, float(known.max()) + margin) if margin else (-1.0, 1.0)
+
+
 def _draw_output(ax: Axes, run: Simulated, i: int) -> None:
     factor, prefix = _scale(run.measured[:, i], run.units[i])
+    _draw_curves(ax, run, i, factor)
+    ax.set_title(prefix + _shown(run.units[i]), loc="right", fontweight="normal")
+    known = run.measured[:, i][np.isfinite(run.measured[:, i])]
+    if known.size and np.ptp(known) > 0:
+        # A diverging simulation must not flatten the data.
+        ax.set_ylim(*(factor * limit for limit in _limits(run.measured[:, i])))
+
+
+def _draw_curves(ax: Axes, run: Simulated, i: int, factor: float) -> None:
     measured = envelope(run.t_s, run.measured[:, i], _BINS)
     plot_envelope(ax, measured, _MEASURED, factor)
     if not measured.is_line:  # the simulation's line would hide a thinner band
@@ -102,11 +148,6 @@ def _draw_output(ax: Axes, run: Simulated, i: int) -> None:
     [drawn] = ax.plot(run.t_s[thinned], simulated[thinned], **_SIMULATED.keywords())
     attach(drawn, min_max_bins(run.t_s, simulated, simulated))
     ax.set_title(f"{symbol(run.names[i])}, fit {run.fit_percent[i]:.2f} %")
-    ax.set_title(prefix + _shown(run.units[i]), loc="right", fontweight="normal")
-    known = factor * run.measured[:, i][np.isfinite(run.measured[:, i])]
-    if known.size and np.ptp(known) > 0:
-        margin = 0.15 * np.ptp(known)  # a diverging simulation must not flatten the data
-        ax.set_ylim(known.min() - margin, known.max() + margin)
 
 
 def _draw_error(ax: Axes, run: Simulated, i: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from ..plotting.labelled_frequency_responses import (
     ratio,
     shown_range,
 )
-from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
+from ..plotting.style import TRUTH, doubtful, line_of, position_label
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -47,6 +47,8 @@ class ClosedLoopReport:
     signals: SignalLabels
     labels: tuple[str, ...]
     shown: Range
+    drawn: Range
+    """The Bode diagrams also show what lies above `shown`, up to half the rate: the peaks there."""
     ho_kalman: tuple[Curve, ...]
     sensitivity: tuple[Curve, ...]
     truth: tuple[Curve, ...]
@@ -101,12 +103,12 @@ def closed_loop_report(
     lines = [line_of(k) for k in range(len(points))]
     modes_hz = [f for p in points for f, _ in modes_of(p)]
     shown = shown_range(float(points[0].freq_hz[0]), float(points[0].freq_hz[-1]), modes_hz)
-    drawn = list(zip(points, labels, lines, strict=True))
+    positions = list(zip(points, labels, lines, strict=True))
     ho_kalman = tuple(
         Curve(label, line, p.freq_hz, p.from_ho_kalman)
         if p.trusted
-        else Curve(f"{label}, not reliable", DOUBTFUL, p.freq_hz, p.from_ho_kalman)
-        for p, label, line in drawn
+        else Curve(f"{label}, not reliable", doubtful(line), p.freq_hz, p.from_ho_kalman)
+        for p, label, line in positions
     )
     measured = tuple(
         Curve(
@@ -116,13 +118,13 @@ def closed_loop_report(
             p.from_sensitivity.H,
             p.from_sensitivity.standard_deviation,
         )
-        for p, label, line in drawn
+        for p, label, line in positions
     )
     shown = determined(shown, measured)
     ratios: dict[str, tuple[Curve, ...]] = {}
     truths: tuple[Curve, ...] = ()
     if truth is not None:
-        f = np.geomspace(shown.low_hz, shown.high_hz, _TRUTH_POINTS)
+        f = np.geomspace(shown.low_hz, float(points[0].freq_hz[-1]), _TRUTH_POINTS)
         truths = tuple(Curve(TRUTH_NAME, TRUTH, f, truth(b, f)) for b in beams)
         for name, estimates in ((HO_KALMAN, ho_kalman), (SENSITIVITY, measured)):
             exact = [
@@ -131,8 +133,10 @@ def closed_loop_report(
             ]
             ratios[f"{name} / truth"] = _ratios(estimates, exact)
     ratios[f"{HO_KALMAN} / {SENSITIVITY}"] = _ratios(ho_kalman, measured)
+    top_hz = float(points[0].freq_hz[-1])
+    drawn = replace(shown, high_hz=max(top_hz, shown.high_hz), valid_to_hz=shown.top_hz)
     return ClosedLoopReport(
-        tuple(points), signals, labels, shown, ho_kalman, measured, truths, ratios
+        tuple(points), signals, labels, shown, drawn, ho_kalman, measured, truths, ratios
     )
 
 

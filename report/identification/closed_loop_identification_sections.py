@@ -108,7 +108,7 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         Picture(
             "plant-phase",
             to_svg(
-                bode_phase(report.ho_kalman, report.signals, truth=report.truth, shown=report.shown)
+                bode_phase(report.ho_kalman, report.signals, truth=report.truth, shown=report.drawn)
             ),
             "Phase of the identified plant, every input to every output.",
             "Phase of P by Ho-Kalman's algorithm. P includes the delay of one cycle, the hold and "
@@ -129,7 +129,7 @@ def _plant_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
 
 
 def _magnitude(report: ClosedLoopReport, curves: Sequence[Curve]) -> str:
-    figure = bode_magnitude(curves, report.signals, truth=report.truth, shown=report.shown)
+    figure = bode_magnitude(curves, report.signals, truth=report.truth, shown=report.drawn)
     return to_svg(figure)
 
 
@@ -191,7 +191,7 @@ def _foundation_parts(report: ClosedLoopReport) -> tuple[Part, ...]:
         ),
         Picture(
             "coherence",
-            to_svg(coherence(coherences, report.signals, shown=report.shown)),
+            to_svg(coherence(coherences, report.signals, shown=report.drawn)),
             "Coherence of the feedback with the excitation, every input to every output.",
             "Coherence: share of the controller's feedback that the excitation explains. The "
             "sensitivity is accurate where it is near 1.",
@@ -249,7 +249,7 @@ def _unreliable(report: ClosedLoopReport) -> str:
     """Return the end of a caption that names unreliable curves and the reasons."""
     reasons = "; ".join(f"{label}, because {why}" for label, why in report.unreliable)
     hatched = "" if report.trusted else ", in hatched panels"
-    return f" Not reliable, grey and dotted{hatched}: {reasons}." if reasons else ""
+    return f" Not reliable, dotted{hatched}: {reasons}." if reasons else ""
 
 
 def _digits(value: float) -> str:

@@ -31,7 +31,7 @@ from ..plotting.labelled_frequency_responses import (
     shown_range,
 )
 from ..plotting.number_format import chance
-from ..plotting.style import TRUTH, line_of
+from ..plotting.style import TRUTH, LineStyle, line_of
 from .closed_loop import HO_KALMAN, TRUTH_NAME, Truth
 from .loop_words import loop_answer, loop_numbers, whiteness_words
 
@@ -41,6 +41,8 @@ NOISE_MOST = 1.5
 """Error over noise above which a model lacks something; short records reach it by chance."""
 NOT_WHITE = 0.01
 """Overall p-value of all tests below which prediction errors do not count as white."""
+_CLEAR = 0.3
+"""Standard deviation over the response up to which a measured response is drawn."""
 _STANDS_OUT = 10.0
 """Ratio to the noise below which an output's motion does not test the model."""
 
@@ -58,7 +60,8 @@ class GreyBoxReport:
     shown: Range
     compared: Range
     fitted: tuple[Curve, ...]
-    ho_kalman: tuple[Curve, ...]
+    measured: tuple[Curve, ...]
+    """The response without a model, by (15), where it is clear of its noise."""
     truth: tuple[Curve, ...]
     ratios: dict[str, tuple[Curve, ...]]
     modes: tuple[Modes, ...]
@@ -94,6 +97,12 @@ class GreyBoxReport:
         """The validations of records with moving scheduling variables."""
         pairs = zip(self.grey.validations, self.grey.fit.records, strict=True)
         return tuple(v for v, record in pairs if record.moving)
+
+    def carries_beam(self, v: Validation) -> bool | None:
+        """Return whether the feed-forward followed the motion in a record; None without a loop."""
+        pairs = zip(self.grey.validations, self.grey.fit.predictions, strict=True)
+        loop = next(p.experiment.loop for w, p in pairs if w is v)
+        return None if loop is None else bool(np.any(np.ptp(loop.feedforward, axis=0)))
 
     @property
     def worst(self) -> Cell | None:
@@ -161,14 +170,16 @@ def grey_box_report(
     modes = tuple(fitted_modes(grey.fit, place.schedule) for place in places)
     modes_hz = [f for m in modes for f in m.frequency_hz]
     measured = [
-        Curve("", line_of(0), r.freq_hz, r.H, r.standard_deviation)
-        for r in (p.from_sensitivity for p in points)
+        Curve("", line_of(k), r.freq_hz, r.H, r.standard_deviation)
+        for k, r in enumerate(p.from_sensitivity for p in points)
     ]
     compared = determined(shown_range(lowest, 0.4 / grey.Ts_s, modes_hz), measured)
     shown, whole = compared, tuple[Curve, ...]()
     if grey.loop is not None:
         band = grey.loop.band
-        top_hz = float(grey.loop.fit.points[0].freq_hz[-1])
+        top_hz = max(
+            float(grey.loop.fit.points[0].freq_hz[-1]), *(float(c.freq_hz[-1]) for c in measured)
+        )
         valid_to_hz = None if band.complete else band.end_hz
         shown = Range(compared.low_hz, top_hz, valid_to_hz, beyond="model not valid")
         if grey.loop.fit.modes:
@@ -207,8 +218,27 @@ def grey_box_report(
         )
         ratios[f"{FITTED} / {HO_KALMAN}"] = _ratios(there, pale)
     return GreyBoxReport(
-        grey, signals, places, shown, compared, fitted, pale, truths, ratios, modes, whole
+        grey,
+        signals,
+        places,
+        shown,
+        compared,
+        fitted,
+        tuple(_beneath(c) for c in measured),
+        truths,
+        ratios,
+        modes,
+        whole,
     )
+
+
+def _beneath(measured: Curve) -> Curve:
+    """Return a measured response as a wide pale line, without what noise hides."""
+    assert measured.deviation is not None
+    clear = measured.deviation < _CLEAR * np.abs(measured.response)
+    line = LineStyle(measured.line.colour, width=3.2, alpha=0.3, zorder=2.5)
+    response = np.where(clear, measured.response, np.nan)
+    return replace(measured, line=line, response=response, deviation=None)
 
 
 def grey_box_words(report: GreyBoxReport) -> tuple[Text, ...]:

@@ -17,19 +17,28 @@ from ...identification.subspace.response_uncertainty import SURE_95
 from ..figures.bode import bode_magnitude, bode_phase
 from ..figures.residuals import Residuals, residual_correlation, residual_spectra
 from ..figures.response_deviation import bounds_text, deviation, error_text, largest
-from ..figures.simulated_outputs import Simulated, SimulatedOutput, simulated_outputs
+from ..figures.simulated_outputs import (
+    Simulated,
+    SimulatedOutput,
+    simulated_outputs,
+    simulated_side_by_side,
+)
 from ..plotting.figure_to_svg import Picture, to_svg
 from ..plotting.html_page import Part, Section, Table, Text
 from ..plotting.labelled_frequency_responses import Curve
 from ..plotting.number_format import chance, interval, plain, to_interval
-from ..plotting.style import LineStyle, signed
-from .closed_loop import HO_KALMAN
+from ..plotting.style import signed
 from .greybox import GreyBoxReport
 from .loop_words import modes_table, shape_parts
 
 Array = NDArray[np.float64]
 
 _MOST_PICTURED = 3
+_FEED_FORWARD = {
+    True: "with feed-forward",
+    False: "without feed-forward",
+    None: "without a loop",
+}
 
 
 def grey_box_sections(report: GreyBoxReport) -> tuple[Section, ...]:
@@ -126,13 +135,10 @@ def _modes_table(report: GreyBoxReport) -> Table:
 
 
 def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
-    pale = [
-        replace(c, line=LineStyle(c.line.colour, width=3.2, alpha=0.3, zorder=2.5))
-        for c in report.ho_kalman
-    ]
+    pale = list(report.measured)
     if pale:
-        pale[0] = replace(pale[0], label=f"{HO_KALMAN}, beneath")
-    beneath = " over Ho-Kalman's estimates, wide and pale" if pale else ""
+        pale[0] = replace(pale[0], label="measured, beneath")
+    beneath = " over the measured response by (15), wide and pale" if pale else ""
     if report.truth:
         beneath += f"{', and' if beneath else ' over'} the simulator's truth, wide and grey"
     if report.whole:
@@ -186,17 +192,38 @@ def _bode(report: GreyBoxReport, curves: Sequence[Curve]) -> Figure:
 
 def _simulated_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     parts: list[Part] = []
-    for number, v in enumerate(report.moving[:_MOST_PICTURED], start=1):
+    pictured = report.moving[:_MOST_PICTURED]
+    runs = [_simulated(report, v) for v in pictured]
+    if len(runs) > 1 and all(run.schedule for run in runs):
+        carries = [report.carries_beam(v) for v in pictured]
+        titles = [v.record for v in pictured]
+        columns = "; ".join(
+            f"{title}, {_FEED_FORWARD[c]}" for title, c in zip(titles, carries, strict=True)
+        )
+        if len(set(carries)) == len(carries):
+            titles = [_FEED_FORWARD[c] for c in carries]
+        parts.append(
+            Picture(
+                "simulated-side-by-side",
+                to_svg(simulated_side_by_side(runs, titles)),
+                "Measured and simulated outputs of the records with a moving beam, side by side.",
+                f"The end of the records in which {runs[0].schedule[0].name} moves, measured and "
+                f"simulated, on the same axes: {columns}. The figures below show each record on "
+                "its own axes, with its error.",
+                "Fig. 14",
+            )
+        )
+    for number, (v, run) in enumerate(zip(pictured, runs, strict=True), start=1):
         names = ", ".join(trace.name for trace in _traces(report, v))
         parts.append(
             Picture(
                 f"simulated-{number}",
-                to_svg(simulated_outputs(_simulated(report, v))),
+                to_svg(simulated_outputs(run)),
                 f"Measured and simulated outputs of record {v.record}, with the differences.",
                 f"The end of record {v.record}, simulated from {names or 'its schedule'} and the "
-                "excitation. The seconds before it give the initial state and the constant force; "
-                "no later output is used. Below each output: the error on its own scale, with the "
-                "noise as a band.",
+                f"excitation. {_feed_forward_sentence(report, v)}The seconds before it give the "
+                "initial state and the constant force; no later output is used. Below each output: "
+                "the error on its own scale, with the noise as a band.",
                 "Fig. 14",
             )
         )
@@ -220,6 +247,15 @@ def _simulated(report: GreyBoxReport, v: Validation) -> Simulated:
         v.floor_rms,
         _traces(report, v),
     )
+
+
+def _feed_forward_sentence(report: GreyBoxReport, v: Validation) -> str:
+    carries = report.carries_beam(v)
+    if carries is None:
+        return ""
+    if carries:
+        return "The feed-forward carried the beam, as far as its model is right. "
+    return "The feed-forward did not carry the beam: its weight and reaction disturbed. "
 
 
 def _traces(report: GreyBoxReport, v: Validation) -> tuple[SimulatedOutput, ...]:

@@ -36,7 +36,7 @@ from ..plotting.labelled_frequency_responses import (
     shown_range,
 )
 from ..plotting.number_format import interval
-from ..plotting.style import DOUBTFUL, TRUTH, line_of, position_label
+from ..plotting.style import TRUTH, doubtful, line_of, position_label
 from ..session.session_page import listed
 from .closed_loop import HO_KALMAN, METHOD, TRUTH_NAME, Truth
 
@@ -118,10 +118,10 @@ def subspace_report(
         # Figures draw CONFIDENCE deviations, which is for complex errors; this error is real.
         wide = SURE_95 / CONFIDENCE
         bands = wide * r.magnitude_deviation, wide * r.phase_deviation_rad
-        line = line_of(k) if model.trusted else DOUBTFUL
+        line = line_of(k) if model.trusted else doubtful(line_of(k))
         name = label if model.trusted else f"{label}, not reliable"
         curves.append(Curve(name, line, r.freq_hz, r.H, *bands))
-        other = line if point.trusted else DOUBTFUL
+        other = line_of(k) if point.trusted else doubtful(line_of(k))
         ho_kalman.append(Curve(label, other, point.freq_hz, point.from_ho_kalman))
         if truth is not None:
             exact.append(Curve("", TRUTH, r.freq_hz, truth(point.beam_m, r.freq_hz)))

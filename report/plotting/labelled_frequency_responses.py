@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from .style import DOUBTFUL, LineStyle
+from .style import DOTS, LineStyle
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -60,7 +60,7 @@ class Curve:
 
     `deviation` (F, m, p), if given, is the standard deviation of the complex entries; CONFIDENCE
     times it is drawn as a band. The band of the phase uses `phase_deviation_rad` if given. A curve
-    with the line DOUBTFUL is `doubtful`.
+    of DOTS is `doubtful`.
     """
 
     label: str
@@ -73,7 +73,7 @@ class Curve:
     @property
     def doubtful(self) -> bool:
         """Whether the curve has the line style of unreliable results."""
-        return self.line == DOUBTFUL
+        return self.line.dashes == DOTS
 
 
 @dataclass(frozen=True)

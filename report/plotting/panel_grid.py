@@ -112,7 +112,8 @@ def legend_of(
     if truth:
         entries.append(entry(truth[0].label, truth[0].line))
     if shown is not None and shown.valid_to_hz is not None and shown.valid_to_hz < shown.high_hz:
-        label = f"above {shown.valid_to_hz:.3g} Hz: {shown.beyond}"
+        rad_s = 2.0 * np.pi * shown.valid_to_hz
+        label = f"above {shown.valid_to_hz:.3g} Hz ({rad_s:.3g} rad/s): {shown.beyond}"
         entries.append(Patch(facecolor=colour("shade"), edgecolor=colour("edge"), label=label))
     return entries
 

@@ -86,9 +86,14 @@ DOF = {
 }
 """Lines of the platform's DOFs in a common panel; the colours differ from beam positions'."""
 TRUTH = LineStyle(_LIGHT["truth"], width=2.6, alpha=0.55, zorder=2.0)
-DOUBTFUL = LineStyle(_LIGHT["muted"], (1.0, 1.5), width=1.2, zorder=2.8)
-"""Line of unreliable results: grey and dotted."""
+DOTS = (1.0, 1.5)
+"""Dashes of unreliable results, which no other line has."""
 BOUND = LineStyle(_LIGHT["ink"], (2.0, 2.0), width=0.8, zorder=2.5)
+
+
+def doubtful(line: LineStyle) -> LineStyle:
+    """Return the dotted line of an unreliable result, in the colour of its position."""
+    return replace(line, dashes=DOTS, zorder=2.8)
 
 
 def line_of(index: int) -> LineStyle:
@@ -243,7 +248,7 @@ def log_ticks(ax: Axes, which: str, limits: tuple[float, float], every: int | No
     (ax.set_xscale if which == "x" else ax.set_yscale)("log")
     (ax.set_xlim if which == "x" else ax.set_ylim)(*limits)
     decades = np.log10(limits[1] / limits[0])
-    step = every or max(1, int(np.ceil(decades / 5)))
+    step = every or max(1, int(np.ceil(decades / 6)))
     axis.set_major_locator(_Decades(step))
     axis.set_major_formatter(FuncFormatter(power_of_ten))
     axis.set_minor_locator(NullLocator() if decades > 2.5 else LogLocator(subs=(2, 5)))

@@ -120,6 +120,21 @@ def test_feeder_streams_a_plan_longer_than_the_memory() -> None:
     np.testing.assert_array_equal(flown, np.vstack([logged.segment.v for logged in segments]))
 
 
+@pytest.mark.parametrize("flag", ["in_control", "airborne", "engages", "lands", "beam_feedforward"])
+def test_the_loop_gets_every_flag_of_a_segment(flag: str) -> None:
+    control_words = ControlWords(memoryview(bytearray(ControlWords.SIZE)))
+    memory = memoryview(bytearray(SegmentStream.size(9, 64)))
+    segment_stream = SegmentStream(9, 64, memory, control_words)
+    segment = idle_segment(5, 9, np.zeros(3), np.zeros(3))
+    changed = replace(segment, **{flag: not getattr(segment, flag)})
+    SegmentFeeder(segment_stream, control_words, 1, [Logged(changed, 1)]).feed()
+    announced = segment_stream.announced(0)
+    assert announced is not None
+    found = segment_stream.segment(announced)
+    for name in ("in_control", "airborne", "engages", "lands", "beam_feedforward"):
+        assert getattr(found, name) == getattr(changed, name), name
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.3, -0.5])
 def test_landing_by_hand_is_the_planned_one(speed: float) -> None:
     control = Controller(RIG, 1e-3)

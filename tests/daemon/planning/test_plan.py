@@ -48,6 +48,18 @@ def test_each_excitation_plays_alone_but_for_the_fade() -> None:
     assert np.flatnonzero(segment.coil_excitation.any(axis=0)).tolist() == [4]
 
 
+def test_a_whole_record_has_the_beam_in_its_feed_forward_or_not() -> None:
+    sweep = {"duration_s": 4, "beam": [{"to_m": 0.02}, {"to_m": 0.0}]}
+    for carries in (True, False):
+        steps = plan({**sweep, "beam_feedforward": carries}).steps
+        kept = [[segment.beam_feedforward for segment in step.segments()] for step in steps]
+        assert all(kept[0] + kept[2])
+        assert kept[1] == [carries, carries]  # settling belongs to the record
+        assert (steps[1].disturbing_beam is None) == carries
+    with pytest.raises(ValidationError, match="beam_feedforward: expected false with a trajectory"):
+        plan({"duration_s": 4, "beam_feedforward": False})
+
+
 def test_last_period_of_every_turn_is_whole() -> None:
     """Full level from the end of the fade in to the end of the turn, so two periods of four agree
     where neither fades: to rounding."""

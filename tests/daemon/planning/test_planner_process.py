@@ -44,7 +44,9 @@ name: short
 excitations: {psi: {input: psi, rms_n_m: 0.05}, coil: {input: "coil:3", rms_n: 0.1}}
 steps:
   - levitate: {unload_s: 0.2, ramp_s: 0.5, settle_s: 0.1, check_coils: {}}
-  - record: {name: tilt, duration_s: 1.5, excite: [psi, coil], beam: [{to_m: 0.01}, {to_m: -0.01}]}
+  - record:
+      {name: tilt, duration_s: 1.5, excite: [psi, coil], beam: [{to_m: 0.01}, {to_m: -0.01}],
+       beam_feedforward: false}
   - move: {beam_m: 0.005, settle_s: 0.1}
   - land: {}
 """

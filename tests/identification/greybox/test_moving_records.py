@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from levid.benchmarks.harness.inaccurate_model import off_by_a_tenth
+from levid.benchmarks.harness.virtual_flight import fly_session
 from levid.benchmarks.identification.greybox_accuracy import flown
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
-from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.greybox.experiment.experiment_from_log import (
+    Experiment,
+    experiment_from_log,
+)
 from levid.identification.greybox.fit import Fit
 from levid.identification.greybox.fit_in_loop import fit_in_loop
+from levid.identification.greybox.free_run.free_run_simulation import free_run
+from levid.log.reader import read_log
 
 SURE = 4.0
 
@@ -53,6 +61,47 @@ def test_what_depends_on_the_height_is_known_as_well(
         assert v["J_psi"] + v["m_b"] * v["z_b"] ** 2 == pytest.approx(
             0.062 + 1.4 * 0.06**2, rel=2e-3
         )
+
+
+SWEEP = {
+    "levid": "session",
+    "name": "sweep",
+    "rate_hz": 1000,
+    "seed": 3,
+    "steps": [
+        {"levitate": {}},
+        {
+            "record": {
+                "name": "sweep",
+                "duration_s": 12,
+                "beam_feedforward": False,
+                "beam": [{"to_m": x, "velocity_m_s": 0.3, "dwell_s": 0.5} for x in (0.04, -0.04)],
+            }
+        },
+        {"land": {}},
+    ],
+}
+
+
+def test_a_beam_that_disturbs_is_fitted_and_simulated_as_well(
+    start: ModelConfig, experiments: list[Experiment], tmp_path: Path
+) -> None:
+    truth = load_model(shipped("models/rig.yaml"))
+    [log] = fly_session(SWEEP, tmp_path)
+    sweep = experiment_from_log(read_log(log), start)
+    assert sweep.loop is not None
+    assert not np.ptp(sweep.loop.feedforward, axis=0).any()
+    assert np.ptp(sweep.y[:, 1]) > 5e-3  # rad
+    fit, _ = fit_in_loop(start, [*(e for e in experiments if not e.moving), sweep], (), None)
+    assert fit.unidentifiable == ()
+    for name, se in fit.standard_errors.items():
+        error = fit.values[name] - truth.parameters[name].value
+        assert abs(error) < SURE * se, name
+    run = free_run(fit.model, sweep, "zoh", fit.noise)
+    error = (sweep.y - run.y)[run.counts_from :]
+    # Fig. 14: the error is of the size of the sensors' noise, 0.1 um at nine sensors.
+    assert np.all(error.std(axis=0) < [2e-6, 2e-6, 2e-7])
+    assert error[:, 1].std() < 1e-3 * sweep.y[:, 1].std()
 
 
 def test_covariance_is_one_of_random_variables(with_motion: Fit) -> None:

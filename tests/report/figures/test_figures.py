@@ -32,9 +32,9 @@ from levid.report.plotting.labelled_frequency_responses import (
 )
 from levid.report.plotting.min_max_envelope import Envelope, envelope, over_time
 from levid.report.plotting.style import (
-    DOUBTFUL,
     PAPER,
     TRUTH,
+    doubtful,
     engineering,
     line_of,
     position_label,
@@ -177,8 +177,10 @@ def test_error_figure_draws_the_bounds_unless_all_errors_are_far_below(factor, n
 
 def test_panels_with_unreliable_curves_only_are_hatched():
     signals = SignalLabels(("u",), ("N",), ("y",), ("m",))
-    doubtful = Curve("left, not to be trusted", DOUBTFUL, FREQ_HZ, resonances(FREQ_HZ, 1, 1))
-    for figure, hatched in (([doubtful], True), ([doubtful, curve(m=1, p=1)], False)):
+    dotted = Curve(
+        "left, not to be trusted", doubtful(line_of(0)), FREQ_HZ, resonances(FREQ_HZ, 1, 1)
+    )
+    for figure, hatched in (([dotted], True), ([dotted, curve(m=1, p=1)], False)):
         for draw in (bode_magnitude, bode_phase, deviation):
             drawing = draw(figure, signals, shown=RIG)
             assert any(p.get_hatch() for p in drawing.axes[0].patches) == hatched

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from ...config.model import ModelConfig
 from ...model.declared_model import DeclaredModel
@@ -23,6 +24,13 @@ _ROUNDS = 6
 _SETTLED = 0.1
 """Change of a parameter in standard errors below which the rounds end."""
 _STEP = 1e-4
+_SURE = 5.0
+"""Standard deviations of the mean square error beyond which it is more than noise."""
+_PART_S = 2.0
+"""Length of a part: about a move of the beam."""
+_LEAST_PARTS, _CHANCE = 4, 1e-3
+"""Least parts that are compared; probability of a larger disagreement by chance, below which the
+model has an error."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +49,8 @@ def determined(config: ModelConfig, found: LoopFit, moving: Sequence[Experiment]
     The moving records are predicted one step ahead, with the noise that was measured at rest; only
     these parameters change. While one does, the others keep the matrices at rest as they are: M and
     K contain z_b only together with other parameters. Where the errors are larger than the noise,
-    the standard errors are, too.
+    the standard errors are, too; and where parts of the records disagree by more than chance, the
+    standard error is at least their scatter, because an error of the model does not average out.
     """
     p = free_parameters(config)
     at_rest = _At(
@@ -69,7 +78,19 @@ def determined(config: ModelConfig, found: LoopFit, moving: Sequence[Experiment]
         model = at_rest.carried(model, values)
         if np.all(np.abs(change) < _SETTLED * errors):
             break
-    return Determined(model, (*at_rest.known, *new), at_rest.covariance(of, new), tuple(left))
+    extra = np.zeros(len(new))
+    if of.squares / of.rows > 1.0 + _SURE * np.sqrt(2.0 / of.rows):
+        parts = [part for e in moving for part in _parts(e)]
+        extra = at_rest.scatter(_at_values(config, model), parts, new)
+    covariance = at_rest.covariance(of, new, np.diag(extra))
+    return Determined(model, (*at_rest.known, *new), covariance, tuple(left))
+
+
+def _parts(experiment: Experiment) -> list[Experiment]:
+    """Return consecutive parts of a record, about as long as a move."""
+    rows = len(experiment.y)
+    count = max(round(rows * experiment.Ts_s / _PART_S), 1)
+    return [experiment.rows(rows * k // count, rows * (k + 1) // count) for k in range(count)]
 
 
 def _at_values(config: ModelConfig, model: DeclaredModel) -> ModelConfig:
@@ -143,18 +164,44 @@ class _At:
         at = [model.at(point.schedule) for point in self.found.points]
         return np.array([np.concatenate([m.M.ravel(), m.D.ravel(), m.K.ravel()]) for m in at])
 
-    def covariance(self, of: Linearised, new: Sequence[str]) -> Array:
+    def scatter(
+        self, config: ModelConfig, parts: Sequence[Experiment], new: Sequence[str]
+    ) -> Array:
+        """Return the variance (K,) of new parameters between parts of records, beyond noise.
+
+        By moments (DerSimonian and Laird 1986); zero if chance explains the scatter (Cochran's Q).
+        """
+        found = [linearised(config, [part], self.found.noise) for part in parts]
+        variances = np.zeros(len(new))
+        for k in range(len(new)):
+            weights, estimates = [], []
+            for of in found:
+                A, _ = self.along(of, new)
+                others = np.delete(A, k, axis=1)
+                own = A[:, k] - others @ (np.linalg.pinv(others) @ A[:, k])
+                if (weight := float(own @ own)) > 0.0:
+                    weights.append(weight)
+                    estimates.append(-float(own @ of.right) / weight)
+            w, x = np.array(weights), np.array(estimates)
+            if len(w) < _LEAST_PARTS:
+                continue
+            Q = float(w @ (x - w @ x / w.sum()) ** 2)
+            if chi2.isf(_CHANCE, len(w) - 1) < Q:
+                variances[k] = (Q - (len(w) - 1)) / (w.sum() - w @ w / w.sum())
+        return variances
+
+    def covariance(self, of: Linearised, new: Sequence[str], extra: Array) -> Array:
         """Return the covariance (F, F) of known and newly determined parameters.
 
         The moving records give A h = - R_known e + n with unit noise n, or larger where their
-        errors are; at rest k = S h + e.
+        errors are; at rest k = S h + e. extra (K, K): a covariance of h that does not average out.
         """
         S, own = self.slopes(new)
         A, R_known = self.along(of, new)
         inverse = np.linalg.pinv(A)
         size = max(of.squares / of.rows, 1.0)
         by_known = -inverse @ R_known @ own  # covariance of h and e
-        of_new = size * inverse @ inverse.T - by_known @ (inverse @ R_known).T
+        of_new = size * inverse @ inverse.T - by_known @ (inverse @ R_known).T + extra
         joint = S @ of_new + by_known.T
         of_known = own + S @ of_new @ S.T + S @ by_known + (S @ by_known).T
         return np.block([[of_known, joint], [joint.T, of_new]])

@@ -41,6 +41,7 @@ NOISE_MOST = 1.5
 """Error over noise above which a model lacks something; short records reach it by chance."""
 NOT_WHITE = 0.01
 """Overall p-value of all tests below which prediction errors do not count as white."""
+_BEAM = "beam_m"
 _CLEAR = 0.3
 """Standard deviation over the response up to which a measured response is drawn."""
 _STANDS_OUT = 10.0
@@ -99,10 +100,11 @@ class GreyBoxReport:
         return tuple(v for v, record in pairs if record.moving)
 
     def carries_beam(self, v: Validation) -> bool | None:
-        """Return whether the feed-forward followed the motion in a record; None without a loop."""
+        """Return whether the feed-forward followed the beam in a record; None without a beam."""
         pairs = zip(self.grey.validations, self.grey.fit.predictions, strict=True)
         loop = next(p.experiment.loop for w, p in pairs if w is v)
-        return None if loop is None else bool(np.any(np.ptp(loop.feedforward, axis=0)))
+        beam = any(x.signal == _BEAM for x in self.grey.declared.scheduling.values())
+        return bool(np.any(np.ptp(loop.feedforward, axis=0))) if loop and beam else None
 
     @property
     def worst(self) -> Cell | None:

@@ -28,17 +28,14 @@ from ..plotting.html_page import Part, Section, Table, Text
 from ..plotting.labelled_frequency_responses import Curve
 from ..plotting.number_format import chance, interval, plain, to_interval
 from ..plotting.style import signed
+from ..session.session_page import listed
 from .greybox import GreyBoxReport
 from .loop_words import modes_table, shape_parts
 
 Array = NDArray[np.float64]
 
 _MOST_PICTURED = 3
-_FEED_FORWARD = {
-    True: "with feed-forward",
-    False: "without feed-forward",
-    None: "without a loop",
-}
+_FEED_FORWARD = {True: "with feed-forward", False: "without feed-forward"}
 
 
 def grey_box_sections(report: GreyBoxReport) -> tuple[Section, ...]:
@@ -195,13 +192,14 @@ def _simulated_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     pictured = report.moving[:_MOST_PICTURED]
     runs = [_simulated(report, v) for v in pictured]
     if len(runs) > 1 and all(run.schedule for run in runs):
-        carries = [report.carries_beam(v) for v in pictured]
         titles = [v.record for v in pictured]
-        columns = "; ".join(
-            f"{title}, {_FEED_FORWARD[c]}" for title, c in zip(titles, carries, strict=True)
-        )
-        if len(set(carries)) == len(carries):
-            titles = [_FEED_FORWARD[c] for c in carries]
+        columns = listed(titles)
+        carries = [report.carries_beam(v) for v in pictured]
+        if None not in carries:
+            named = [f"{r}, {_FEED_FORWARD[bool(c)]}" for r, c in zip(titles, carries, strict=True)]
+            columns = "; ".join(named)
+            if len(set(carries)) == len(carries):
+                titles = [_FEED_FORWARD[bool(c)] for c in carries]
         parts.append(
             Picture(
                 "simulated-side-by-side",

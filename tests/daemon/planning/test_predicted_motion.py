@@ -11,7 +11,7 @@ import pytest
 
 from levid.config.base import parse_text
 from levid.config.rig import FeedForward, RigConfig, load_rig
-from levid.config.session import SessionConfig
+from levid.config.session import SessionConfig, load_session
 from levid.config.shipped import shipped
 from levid.daemon.control.states import State
 from levid.daemon.loop.virtual_session import fly_virtually
@@ -131,6 +131,17 @@ def test_a_sweep_that_leaves_the_range_is_refused(rig: RigConfig) -> None:
     carried = far.replace("beam_feedforward: false", "beam_feedforward: true")
     finding = motion_finding(rig, plan_session(parse_text(carried, SessionConfig, "session"), rig))
     assert (finding.outcome, finding.found) == ("passed", "no excitation")
+
+
+def test_the_sweep_of_the_papers_figures_stays_within_a_shipped_sessions_range(
+    rig: RigConfig,
+) -> None:
+    session = load_session(shipped("sessions/paper-figures.yaml"))
+    found = predicted_motion(rig, plan_session(session, rig))
+    assert found is not None
+    assert found.disturbed == ("sweep-without-ff",)
+    assert found.gap_m < 0.6e-3  # as docs/configuration.md says of all
+    assert found.gap_m * 1.4 < rig.limits.gap_m
 
 
 def test_nothing_is_said_of_a_rig_without_a_model(rig: RigConfig) -> None:

@@ -9,8 +9,10 @@ import pytest
 from scipy.linalg import expm
 
 from levid.config.model import ModelConfig
+from levid.identification.greybox.experiment.control_loop import ControlLoop
 from levid.identification.greybox.experiment.experiment_from_log import Experiment
 from levid.identification.greybox.identify_greybox import identify_grey_box
+from levid.model.controller import pi_controller
 from levid.report.figures.compute_fitted_response import places_of
 from levid.report.figures.response_deviation import largest
 from levid.report.identification.greybox import grey_box_numbers, grey_box_report, grey_box_words
@@ -179,6 +181,33 @@ def with_slide_in_the_middle(grey):
         replace(e, schedule={"s": np.zeros(len(e.y))}, moving=False) for e in grey.fit.records
     )
     return replace(grey, fit=replace(grey.fit, records=records))
+
+
+def test_figure_14_says_whether_the_feed_forward_carried_the_beam(grey):
+    moved, v = grey.fit.predictions[1], grey.validations[1]
+    rows = np.zeros_like(moved.experiment.u)
+    controller = pi_controller(np.ones(1), np.ones(1), TS_S)
+    loops = [
+        ControlLoop(rows, rows, feed_forward, rows, controller)
+        for feed_forward in (moved.experiment.u, rows + 3.0)
+    ]
+    flown = [replace(moved, experiment=replace(moved.experiment, loop=loop)) for loop in loops]
+    config = {**MODEL, "scheduling": {"s": {"unit": "m", "signal": "beam_m", "min": -1, "max": 1}}}
+    pair = replace(
+        grey,
+        declared=ModelConfig.model_validate(config),
+        validations=(replace(v, record="one"), replace(v, record="two")),
+        fit=replace(grey.fit, predictions=tuple(flown)),
+    )
+    page = page_text(grey_box_sections(grey_box_report(pair, (), AXES)))
+    assert "one, with feed-forward; two, without feed-forward" in page
+    assert "The feed-forward did not carry the beam" in page
+    # Of another plant than the rig nothing is said of a beam.
+    other = page_text(
+        grey_box_sections(grey_box_report(replace(pair, declared=grey.declared), (), AXES))
+    )
+    assert "on the same axes: one and two." in other
+    assert "carry" not in other
 
 
 def test_report_without_a_moving_record_has_no_figure_14(grey):

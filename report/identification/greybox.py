@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from ...identification.compare_with_black_box import BesideBlackBox
 from ...identification.greybox.fitted_modes import fitted_modes
@@ -44,6 +45,7 @@ NOT_WHITE = 0.01
 _BEAM = "beam_m"
 _CLEAR = 0.3
 """Standard deviation over the response up to which a measured response is drawn."""
+_NEIGHBOURS = 9
 _STANDS_OUT = 10.0
 """Ratio to the noise below which an output's motion does not test the model."""
 
@@ -238,6 +240,8 @@ def _beneath(measured: Curve) -> Curve:
     """Return a measured response as a wide pale line, without what noise hides."""
     assert measured.deviation is not None
     clear = measured.deviation < _CLEAR * np.abs(measured.response)
+    # Single frequencies where noise happens to be large are no part of the response.
+    clear &= median_filter(clear, (_NEIGHBOURS, 1, 1), mode="nearest")
     line = LineStyle(measured.line.colour, width=3.2, alpha=0.3, zorder=2.5)
     response = np.where(clear, measured.response, np.nan)
     return replace(measured, line=line, response=response, deviation=None)

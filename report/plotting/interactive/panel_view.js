@@ -134,7 +134,8 @@ class PanelView {
     const used = tables.filter((t) => t.columns.length);
     if (!used.length) return [[min, max]];
     const all = used.map((t) => [Array.from(t.level.x.subarray(t.a, t.b)), ...t.columns.map((c) => order[c])]);
-    const whole = all.length > 1 ? uPlot.join(all) : all[0];
+    // Mode 2: a missing value stays a gap up to the neighbouring values, whatever other curves have between them.
+    const whole = all.length > 1 ? uPlot.join(all, all.map((t) => t.map(() => 2))) : all[0];
     const out = [whole[0]];
     used.flatMap((t) => t.columns).forEach((column, k) => { out[column + 1] = whole[k + 1]; });
     return out;

@@ -333,6 +333,36 @@ def test_values_at_the_cursor_cover_no_curve(tab, report, width, figure, panels)
         assert [pixels for _, _, pixels in boxes] == [0] * panels
 
 
+_INK_IN_THE_GAP = """(() => {
+  const canvas = document.querySelector('#figure-gap canvas');
+  const over = document.querySelector('#figure-gap .u-over').getBoundingClientRect();
+  const at = canvas.getBoundingClientRect(), scale = canvas.width / at.width;
+  const x = (over.left - at.left + SHARE * over.width) * scale, y = (over.top - at.top) * scale;
+  const [width, height] = [0.1 * over.width * scale, over.height * scale];
+  const strip = canvas.getContext('2d').getImageData(x, y, width, height);
+  let blue = 0;
+  for (let i = 0; i < strip.data.length; i += 4)
+    if (strip.data[i + 3] > 100 && strip.data[i + 2] > strip.data[i] + 60) blue++;
+  return blue;
+})()"""
+
+
+def test_a_gap_in_a_curve_stays_one_beside_curves_with_other_abscissae(tab, tmp_path):
+    t = np.arange(101.0)
+    with_gap = np.where((t > 30) & (t < 70), np.nan, 1.0)
+    with drawing():
+        grid = new_grid((1, 1), PAGE, 1.6, [entry("with a gap", BLUE), entry("whole", ORANGE)])
+        ax = grid.axes[0, 0]
+        ax.plot(t, with_gap, **BLUE.keywords())
+        ax.plot(np.arange(0.0, 100.0, 0.3), np.zeros(334), **ORANGE.keywords())
+        ax.set_xlabel("time [s]")
+    picture = Picture("gap", to_svg(grid.figure), "two curves", "Two curves.")
+    tab.open(write_report(tmp_path, "Title", (Section("Figures", (picture,)),)).as_uri())
+    tab.wait_for("document.querySelectorAll('#figure-gap .u-over').length === 1")
+    assert tab.value(_INK_IN_THE_GAP.replace("SHARE", "0.15")) > 0
+    assert tab.value(_INK_IN_THE_GAP.replace("SHARE", "0.45")) == 0
+
+
 def test_a_band_is_read_with_the_line_that_it_belongs_to(tab, tmp_path):
     """Two models have one legend entry: the pale one has no band of its own."""
     response = 1e-2 / (1 - (FREQ_HZ / 8.0) ** 2 + 0.1j * FREQ_HZ / 8.0)

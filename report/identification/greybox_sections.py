@@ -135,7 +135,7 @@ def _response_parts(report: GreyBoxReport) -> tuple[Part, ...]:
     pale = list(report.measured)
     if pale:
         pale[0] = replace(pale[0], label="measured, beneath")
-    beneath = " over the measured response by (15), wide and pale" if pale else ""
+    beneath = " over the measured response by (15), wide and pale, above its noise" if pale else ""
     if report.truth:
         beneath += f"{', and' if beneath else ' over'} the simulator's truth, wide and grey"
     if report.whole:

@@ -17,6 +17,7 @@ from .nonparametric.markov_parameters import (
     most_taps,
 )
 from .options import LOOP_IMPULSE_S, LOOP_SEGMENT_S, Options
+from .record_threads import record_threads
 from .records.persistence_of_excitation import PoorExcitationError, check_excitation
 from .records.record import OperatingPoint, Record
 from .results import ClosedLoopPoint
@@ -76,18 +77,23 @@ def identify_closed_loop(
     first = _decayed(training, ladder, options)
     length = len(first.g)
 
-    markov: dict[str, MarkovEstimate] = {options.markov: first}
-    decompositions: dict[str, Decomposition] = {}
-    levels: dict[str, float] = {}
-    for n, method in enumerate(sorted(ESTIMATORS, key=lambda m: m != options.markov)):
-        if method not in markov:
-            markov[method] = estimate_markov(training, length, method)
+    def evidence(method: str) -> tuple[MarkovEstimate, Decomposition, float]:
+        own = first if method == options.markov else estimate_markov(training, length, method)
+        known = own.g, delay, lag_pole, controller, Ts_s
+        decomposition = decompose(without_delay(*known), Ts_s, scaling)
+        return (
+            own,
+            decomposition,
+            noise_level(own, training, change_without_delay(*known), scaling),
+        )
 
-        known = markov[method].g, delay, lag_pole, controller, Ts_s
-        decompositions[method] = decompose(without_delay(*known), Ts_s, scaling)
-        change = change_without_delay(*known)
-        levels[method] = noise_level(markov[method], training, change, scaling)
-        progress(0.35 * (n + 1))
+    methods = sorted(ESTIMATORS, key=lambda m: m != options.markov)
+    with record_threads() as pool:
+        found = dict(zip(methods, pool.map(evidence, methods), strict=True))
+    progress(0.7)
+    markov = {method: own for method, (own, _, _) in found.items()}
+    decompositions = {method: d for method, (_, d, _) in found.items()}
+    levels = {method: level for method, (_, _, level) in found.items()}
     decomposition = decompositions[options.markov]
     shown = int(np.sum(decomposition.singular_values > levels[options.markov]))
     wanted = shown if states is None else states + int(np.sum(controller.ki > 0))

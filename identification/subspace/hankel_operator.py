@@ -29,7 +29,10 @@ class HankelSvd:
 
 
 class HankelOperator(LinearOperator):
-    """H with nr x nc blocks h(a + b), h of shape (L, m, p), L >= nr + nc - 1; never formed."""
+    """H with nr x nc blocks h(a + b), h of shape (L, m, p), L >= nr + nc - 1; never formed.
+
+    It computes in the precision of h.
+    """
 
     def __init__(self, h: Array, block_rows: int, block_columns: int) -> None:
         length, self.m, self.p = h.shape
@@ -43,7 +46,7 @@ class HankelOperator(LinearOperator):
         self._size = fft.next_fast_len(block_rows + block_columns - 1, real=True)
         self._spectrum = fft.rfft(self._h, self._size, axis=0).conj()
         shape = (block_rows * self.m, block_columns * self.p)
-        super().__init__(np.dtype(float), shape)  # type: ignore[call-arg]
+        super().__init__(h.dtype, shape)  # type: ignore[call-arg]
 
     def _matmat(self, X: Array) -> Array:
         x = X.reshape(self.block_columns, self.p, -1)
@@ -100,8 +103,8 @@ def largest_singular_value(operator: HankelOperator, steps: int = 24) -> float:
     iterations that wait for convergence take a hundred times longer.
     """
     steps = min(steps, *operator.shape)
-    right = np.random.default_rng(0).normal(size=operator.shape[1])
-    V, U = np.zeros((steps, operator.shape[1])), np.zeros((steps, operator.shape[0]))
+    right = np.random.default_rng(0).normal(size=operator.shape[1]).astype(operator.dtype)
+    V, U = (np.zeros((steps, size), operator.dtype) for size in operator.shape[::-1])
     bidiagonal = np.zeros((steps, steps))
     for k in range(steps):
         V[k] = right / np.linalg.norm(right)

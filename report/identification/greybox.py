@@ -103,8 +103,8 @@ class GreyBoxReport:
 
     def carries_beam(self, v: Validation) -> bool | None:
         """Return whether the feed-forward followed the beam in a record; None without a beam."""
-        pairs = zip(self.grey.validations, self.grey.fit.predictions, strict=True)
-        loop = next(p.experiment.loop for w, p in pairs if w is v)
+        pairs = zip(self.grey.validations, self.grey.fit.records, strict=True)
+        loop = next(record.loop for w, record in pairs if w is v)
         beam = any(x.signal == _BEAM for x in self.grey.declared.scheduling.values())
         return bool(np.any(np.ptp(loop.feedforward, axis=0))) if loop and beam else None
 

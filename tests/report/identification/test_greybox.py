@@ -184,20 +184,20 @@ def with_slide_in_the_middle(grey):
 
 
 def test_figure_14_says_whether_the_feed_forward_carried_the_beam(grey):
-    moved, v = grey.fit.predictions[1], grey.validations[1]
-    rows = np.zeros_like(moved.experiment.u)
+    moved, v = grey.fit.records[1], grey.validations[1]
+    rows = np.zeros_like(moved.u)
     controller = pi_controller(np.ones(1), np.ones(1), TS_S)
     loops = [
         ControlLoop(rows, rows, feed_forward, rows, controller)
-        for feed_forward in (moved.experiment.u, rows + 3.0)
+        for feed_forward in (moved.u, rows + 3.0)
     ]
-    flown = [replace(moved, experiment=replace(moved.experiment, loop=loop)) for loop in loops]
+    flown = tuple(replace(moved, loop=loop) for loop in loops)
     config = {**MODEL, "scheduling": {"s": {"unit": "m", "signal": "beam_m", "min": -1, "max": 1}}}
     pair = replace(
         grey,
         declared=ModelConfig.model_validate(config),
         validations=(replace(v, record="one"), replace(v, record="two")),
-        fit=replace(grey.fit, predictions=tuple(flown)),
+        fit=replace(grey.fit, records=flown),
     )
     page = page_text(grey_box_sections(grey_box_report(pair, (), AXES)))
     assert "one, with feed-forward; two, without feed-forward" in page

@@ -34,7 +34,7 @@ class HankelOperator(LinearOperator):
     It computes in the precision of h.
     """
 
-    def __init__(self, h: Array, block_rows: int, block_columns: int) -> None:
+    def __init__(self, h: NDArray[np.floating], block_rows: int, block_columns: int) -> None:
         length, self.m, self.p = h.shape
         if length < block_rows + block_columns - 1:
             raise ValueError(

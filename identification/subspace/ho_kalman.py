@@ -117,7 +117,7 @@ def noise_level(
         error = markov.standard_error * fft.irfft(white * colour, len(markov.g), axis=0)
         error = change(error)
         # Single precision: a level within 1 % is enough, and takes half the time.
-        scaled = np.float32(error * (scaling.inputs / scaling.outputs[:, None]))
+        scaled = (error * (scaling.inputs / scaling.outputs[:, None])).astype(np.float32)
         blocks = _blocks(error)
         return largest_singular_value(HankelOperator(scaled[1:], blocks, blocks))
 

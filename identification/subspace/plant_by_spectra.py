@@ -16,15 +16,11 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ...model.second_order import StateSpace
-from ..loop_spectra.measured_noise import measured_noise, noise_spectrum
+from ..loop_spectra.line_weights import LineWeights
 from ..loop_spectra.measured_response import last_significant, measured_response
-from ..loop_spectra.output_errors import Factor, Weighted, without_transients
+from ..loop_spectra.output_errors import Factor
 from ..loop_spectra.residual_spectrum import (
     NOT_WHITE,
-    ResidualSpectrum,
-    excess_of_bands,
-    split_residual,
-    with_model_error,
 )
 from ..loop_spectra.spectral_lines import (
     HIGHEST_SHARE,
@@ -134,21 +130,18 @@ class _Search:
             )
             for group in groups
         ]  # fmt: skip
-        self.points = tuple(p for p in points if p is not None)
-        if not self.points:
+        found = tuple(p for p in points if p is not None)
+        if not found:
             raise IdentificationError(
                 f"expected at least {LEAST_LINES} lines up to {self.top_hz:.3g} Hz; record longer"
             )
         self.empty = IdentifiedPlant(_no_core(first), first.leading_zeros, lag_pole)
         self.subspace = frequency_subspace(_of_core(response, self.empty, self.top_hz))
-        self.step = max(max(len(p.excited) for p in self.points) // SEARCH_LINES, 1)
+        self.step = max(max(len(p.excited) for p in found) // SEARCH_LINES, 1)
         m, p = len(first.y[0]), len(first.v[0])
-        self.correlations = np.eye(p), np.eye(m)
-        numbers = 2 * m * sum(len(w.excited) * len(w.records) for w in self.points)
+        self.lines = LineWeights(found, (np.eye(p), np.eye(m)), pool)
+        numbers = 2 * m * sum(len(w.excited) * len(w.records) for w in found)
         self.price = float(np.log(numbers))
-        self.shapes: tuple[Complex | None, ...] = (None,) * len(self.points)
-        self.residuals: tuple[ResidualSpectrum, ...] = ()
-        self.weighted: tuple[Weighted, ...] = ()
 
     def run(self, order: int | None, least: int) -> SpectralPlant:
         found = self.subspace
@@ -163,7 +156,7 @@ class _Search:
         plant, factor = self._fit(plant, 3, 1)
         covariance = factor.slopes.covariance(factor)
         self._split(plant)
-        worst, worst_hz = self._worst()
+        worst, worst_hz = self.lines.worst
         unscaled = np.append(np.ones(len(plant.plant.core.A)), self.scaling.outputs)[:, None]
         unscaled = unscaled / np.append(np.ones(len(plant.plant.core.A)), self.scaling.inputs)
         return SpectralPlant(
@@ -182,7 +175,7 @@ class _Search:
         worst = np.inf
         for _ in range(_ROUNDS):
             self._split(plant)
-            before, worst = worst, self._worst()[0]
+            before, worst = worst, self.lines.worst[0]
             if worst > 0.9 * before or worst < NOT_WHITE:
                 break
             plant, _ = self._fit(plant, 3, self.step)
@@ -195,16 +188,16 @@ class _Search:
         is clear at a few is below it. Returns the criterion of an order that was tried in vain.
         """
         for _ in range(_ROUNDS):
-            worst, worst_hz = self._worst()
+            worst, worst_hz = self.lines.worst
             start = self._with_mode(plant, worst_hz)
             if worst < NOT_WHITE or start is None:
                 break
-            kept = self.residuals, self.shapes, self.weighted
+            kept = self.lines
             more = self._settled(self._fit(start, _STEPS, self.step)[0])
             # By the weights of the larger one: in those of the other its mode is a model error.
             plant, gain = self._gain(more, plant)
             if gain >= 0.0:
-                self.residuals, self.shapes, self.weighted = kept
+                self.lines = kept
                 return plant, {len(more.plant.core.A): gain}
             plant = more
         return plant, {}
@@ -267,11 +260,11 @@ class _Search:
             step = 1
 
     def _numbers(self, plant: SampledPlant) -> int:
-        n, p, m = len(plant.plant.core.A), *(len(c) for c in self.correlations)
+        n, p, m = len(plant.plant.core.A), *(len(c) for c in self.lines.correlations)
         return n * (m + p) + m * p
 
     def _problem(self, step: int) -> FitStateSpace:
-        return FitStateSpace(tuple(w.thin(step) for w in self.weighted), self.pool)
+        return FitStateSpace(self.lines.thin(step), self.pool)
 
     def _fit(
         self, plant: SampledPlant, steps: int, step: int
@@ -281,23 +274,7 @@ class _Search:
 
     def _split(self, plant: SampledPlant) -> None:
         """Measure noise and model error anew, and weigh by them."""
-        known: list[tuple[Complex, ...] | None] = [w.covariances for w in self.weighted]
-        known = known or [None] * len(self.points)
-        self.residuals = tuple(
-            split_residual(point, without_transients(plant, point, c), shape)
-            for point, c, shape in zip(self.points, known, self.shapes, strict=True)
-        )
-        noise = measured_noise(plant, self.points, self.residuals, self.correlations)
-        self.shapes = tuple(noise_spectrum(plant, point, noise) for point in self.points)
-        self.weighted = tuple(
-            Weighted(point, with_model_error(point, r, r.relative_error))
-            for point, r in zip(self.points, self.residuals, strict=True)
-        )
-
-    def _worst(self) -> tuple[float, float]:
-        z, freq_hz = excess_of_bands(self.residuals)
-        k = int(np.argmax(z))
-        return float(z[k]), float(freq_hz[k])
+        self.lines = self.lines.split(plant).by_frequency()
 
     def _scaled(self, r: Record) -> LoopSignals:
         assert r.u is not None

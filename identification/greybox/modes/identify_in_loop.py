@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 
 from ....config.model import ModelConfig
 from ....model.second_order import state_space
-from ...loop_spectra.measured_noise import measured_noise, noise_spectrum
+from ...loop_spectra.line_weights import LineWeights
 from ...loop_spectra.measured_response import last_significant
-from ...loop_spectra.output_errors import Factor, Weighted, without_transients
+from ...loop_spectra.output_errors import Factor
 from ...loop_spectra.residual_spectrum import (
     NOT_WHITE,
     ResidualSpectrum,
     excess_of_bands,
-    split_residual,
-    with_model_error,
 )
 from ...loop_spectra.spectral_lines import HIGHEST_SHARE, SEARCH_LINES, PointLines
 from ...nonparametric.frequency_response import ResponseEstimate
@@ -51,6 +49,8 @@ _BEYOND = 3.0
 _AROUND = 0.1
 """Relative distance from a mode within which its kind shows."""
 _ROUNDS = 8
+_EXPLAINED = 1e-4
+"""Misfit over the output below which the start is near enough."""
 
 
 @dataclass(frozen=True)
@@ -132,86 +132,56 @@ class _Search:
             band_hz = 0.0, last_significant(measured_responses(experiments, top_hz), top_hz)
         # Again, as dense as the band allows.
         responses = measured_responses(experiments, band_hz[1])
-        self.points = lines_by_point(experiments, band_hz)
-        excited = [len(p.excited) for p in self.points if any(r.excited for r in p.records)]
+        points = lines_by_point(experiments, band_hz)
+        excited = [len(p.excited) for p in points if any(r.excited for r in p.records)]
         self.step = max(max(excited) // SEARCH_LINES, 1)
-        self.plant = replace(self.plant, modes=self._starting_modes(responses, band_hz[1]))
+        modes = self._starting_modes(points[0], responses, band_hz[1])
+        self.plant = replace(self.plant, modes=modes)
         n, p = experiments[0].y.shape[1], experiments[0].u.shape[1]
-        self.correlations = experiments[0].correlations or (np.eye(p), np.eye(n))
-        self.noise: Noise | None = None
-        self.residuals: tuple[ResidualSpectrum, ...] = ()
-        self.weighted: tuple[Weighted, ...] = ()
+        correlations = experiments[0].correlations or (np.eye(p), np.eye(n))
+        self.lines = LineWeights(points, correlations, pool)
 
     def run(self) -> LoopFit:
         self._settle()
-        self._split()
+        self.lines = self.lines.split(self.plant)
         unidentifiable = self._hold()
-        if self._worst()[0] >= NOT_WHITE:
-            self._weigh_by_frequency()
+        if self.lines.worst[0] >= NOT_WHITE:
+            self.lines = self.lines.by_frequency()
             self._fit(3, self.step)
             self._choose_kinds()
         self._drop_chance()
-        self._split()
-        self._weigh_by_frequency()
+        self.lines = self.lines.split(self.plant).by_frequency()
         factor = self._fit(3, 1)
         inverse = np.linalg.inv(factor.R)
         scales = factor.slopes.scales
         covariance = scales[:, None] * (inverse @ inverse.T) * scales
-        self._split()
-        assert self.noise is not None
+        lines = self.lines = self.lines.split(self.plant)
+        assert lines.noise is not None
         return LoopFit(
             self.plant,
             factor.slopes.names,
             covariance,
             tuple(unidentifiable),
-            self.points,
-            self.residuals,
-            *self._worst(),
-            self.noise,
+            lines.points,
+            lines.residuals,
+            *lines.worst,
+            Noise(lines.noise.force_density, lines.noise.output_covariance),
             self.steps,
         )
 
     def _settle(self) -> None:
         """Fit from a start that may be far off, with weights that follow the misfit down."""
-        share = np.inf
+        misfit = np.inf
         for _ in range(_ROUNDS):
-            self._split()
-            squares, count = np.sum([r.misfit for r in self.residuals], axis=0)
-            now = float(np.sqrt(max(squares, 0.0) / max(count, 1)))
-            if now > 0.9 * share or now < 1e-4:
+            self.lines = self.lines.split(self.plant)
+            if self.lines.misfit > 0.9 * misfit or self.lines.misfit < _EXPLAINED:
                 break
-            share = now
-            self._weigh([np.full(r.relative_error.shape, share**2) for r in self.residuals])
+            misfit = self.lines.misfit
+            self.lines = self.lines.by_misfit()
             self._fit(2, self.step)
 
-    def _split(self) -> None:
-        """Measure noise and model error anew."""
-
-        def split(k: int) -> ResidualSpectrum:
-            point = self.points[k]
-            known = self.weighted[k].covariances if self.weighted else None
-            shape = None if self.noise is None else noise_spectrum(self.plant, point, self.noise)
-            return split_residual(point, without_transients(self.plant, point, known), shape)
-
-        self.residuals = tuple(self.pool.map(split, range(len(self.points))))
-        found = measured_noise(self.plant, self.points, self.residuals, self.correlations)
-        self.noise = Noise(found.force_density, found.output_covariance)
-
-    def _weigh(self, relative_errors: Sequence[Array]) -> None:
-        """Set the covariances: noise, and model error as a share of each record's output."""
-        self.weighted = tuple(
-            Weighted(point, with_model_error(point, r, share))
-            for point, r, share in zip(self.points, self.residuals, relative_errors, strict=True)
-        )
-
-    def _weigh_by_frequency(self) -> None:
-        self._weigh([r.relative_error for r in self.residuals])
-
     def _problem(self, step: int) -> FitWithModes:
-        # Points have different lines, so that narrow modes are not between them.
-        excited = [w for w in self.weighted if any(r.excited for r in w.point.records)]
-        some = tuple(w.thin(step, k % step) for k, w in enumerate(excited))
-        return FitWithModes(some, self.parameters, self.spread, self.pool)
+        return FitWithModes(self.lines.thin(step), self.parameters, self.spread, self.pool)
 
     def _fit(self, steps: int, step: int) -> Factor[ParameterSlopes]:
         self.progress(f"step {self.steps + 1}", 1.0 - 0.9**self.steps)
@@ -223,7 +193,7 @@ class _Search:
         """Keep parameters that the records do not determine near their declared values."""
         p = self.parameters
         count = len(p.names)
-        self._weigh_by_frequency()
+        self.lines = self.lines.by_frequency()
         free = replace(self._problem(self.step), spread=np.full(count, np.inf))
         factor = free.factor(self.plant)
         order = [*range(count, len(factor.slopes)), *range(count)]
@@ -233,11 +203,6 @@ class _Search:
         self.spread = np.where([n in names for n in p.names], KNOWN_TO * p.worth, np.inf)
         return held
 
-    def _worst(self) -> tuple[float, float]:
-        z, freq_hz = excess_of_bands(self.residuals)
-        k = int(np.argmax(z))
-        return float(z[k]), float(freq_hz[k])
-
     def _choose_kinds(self) -> None:
         """Let modes be attached where that leaves less.
 
@@ -246,7 +211,7 @@ class _Search:
         """
         tried: set[int] = set()
         while True:
-            z, freq_hz = excess_of_bands(self.residuals)
+            z, freq_hz = excess_of_bands(self.lines.residuals)
             around = {
                 k: float(np.max(z, where=np.abs(freq_hz / m.freq_hz - 1.0) < _AROUND, initial=0.0))
                 for k, m in enumerate(self.plant.modes)
@@ -267,8 +232,7 @@ class _Search:
                 as_attached = problem.search(as_attached[0], 3)
             self.plant = min(as_bending, as_attached, key=lambda found: found[2])[0]
             self.steps += 1
-            self._split()
-            self._weigh_by_frequency()
+            self.lines = self.lines.split(self.plant).by_frequency()
 
     def _drop_chance(self) -> None:
         """Leave out modes whose strength is no more than chance and model error explain.
@@ -276,9 +240,10 @@ class _Search:
         One of them stands for the compliance of all modes above the band. Of two modes that are
         close to each other, the weaker leaves first.
         """
-        n, p = self.points[0].records[0].Y.shape[1], self.points[0].records[0].U.shape[1]
-        omega = _BEYOND * 2.0 * np.pi * float(self.points[0].freq_hz[-1])
-        beyond = Mode("beyond", omega, 0.0, np.zeros((n, p)))
+        point = self.lines.points[0]
+        omega = _BEYOND * 2.0 * np.pi * float(point.freq_hz[-1])
+        size = point.records[0].Y.shape[1], point.records[0].U.shape[1]
+        beyond = Mode("beyond", omega, 0.0, np.zeros(size))
         self.plant = replace(self.plant, modes=(*self.plant.modes, beyond))
         while self.plant.modes:
             factor = self._fit(2, self.step)
@@ -304,7 +269,7 @@ class _Search:
         strength /= factor.slopes.scales[own]
         wald = float(strength @ np.linalg.pinv(covariance[np.ix_(own, own)]) @ strength)
         numbers = 2 * sum(
-            len(p.excited) * r.Y.shape[1] for p in self.points for r in p.records if r.excited
+            len(p.excited) * r.Y.shape[1] for p in self.lines.points for r in p.records if r.excited
         )
         more = 0 if mode.kind == "beyond" else 2
         return self.step * wald - (len(own) + more) * float(np.log(numbers))
@@ -313,7 +278,7 @@ class _Search:
         """Return the attached mode with the same resonance: strength M R M, its base at rest."""
         if mode.strength.shape[0] != mode.strength.shape[1]:
             return None
-        middle = self.points[len(self.points) // 2]
+        middle = self.lines.points[len(self.lines.points) // 2]
         M = self.plant.model.at(middle.schedule).M
         strength = M @ mode.strength @ M
         strength = 0.5 * (strength + strength.T)
@@ -322,14 +287,14 @@ class _Search:
         return Mode("attached", float(omega), mode.damping, strength)
 
     def _starting_modes(
-        self, responses: Sequence[ResponseEstimate], top_hz: float
+        self, point: PointLines, responses: Sequence[ResponseEstimate], top_hz: float
     ) -> tuple[Mode, ...]:
         if not responses:
             return ()
-        at = self.plant.model.at(self.points[0].schedule)
+        at = self.plant.model.at(point.schedule)
         rigid = np.abs(np.linalg.eigvals(state_space(at).A)) / (2.0 * np.pi)
         start_hz = _RIGID_TIMES * float(rigid.max())
-        Ts_s, delay_s = self.points[0].Ts_s, self.points[0].delay_s
+        Ts_s, delay_s = point.Ts_s, point.delay_s
         plain = []
         for r in responses:
             band = r.freq_hz <= top_hz

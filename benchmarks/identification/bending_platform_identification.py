@@ -33,7 +33,11 @@ from levid.benchmarks.identification.bending_platform import (
 )
 from levid.config.model import ModelConfig, load_model
 from levid.config.shipped import shipped
+from levid.identification.greybox.experiment.experiment_from_log import Experiment
+from levid.identification.greybox.fit import linearised
 from levid.identification.greybox.fit_in_loop import FittedLoop, fit_in_loop
+from levid.identification.greybox.modes.identify_in_loop import LoopFit
+from levid.identification.greybox.prediction.noise_model import Noise
 from levid.identification.subspace.response_uncertainty import SURE_95
 
 Array = NDArray[np.float64]
@@ -44,6 +48,7 @@ DELAY_OFF_S = 2e-5
 NEAR = 0.03
 """Relative distance within which a mode that is found is the true one."""
 COVERED = Target(least=90.0, most=98.0)
+BOUND = Target(most=1.1)
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,7 @@ class Outcome:
     band_ratio: float
     over_noise: float
     noise_ratio: list[float]
+    over_bound: list[float]
     white: bool
     seconds: float
 
@@ -95,6 +101,12 @@ def measure(quick: bool) -> Iterator[Figure]:
         off = 100.0 * float(np.median(np.abs(np.sqrt(noise) - 1.0)))
         yield Figure(f"{name}_noise", off, "%", f"{name}: median error of the noise's rms")
         over = max(o.over_noise for o in outcomes)
+        bounds = np.array([o.over_bound for o in outcomes if o.over_bound])
+        if len(bounds):
+            label = (
+                f"{name}: standard errors over the Cramér-Rao bound, largest mean of a parameter"
+            )
+            yield Figure(f"{name}_bound", float(bounds.mean(axis=0).max()), "", label, None, BOUND)
         yield Figure(f"{name}_over_noise", over, "", f"{name}: largest error over noise")
         seconds = float(np.median([o.seconds for o in outcomes]))
         yield Figure(f"{name}_seconds", seconds, "s", f"{name}: median time")
@@ -137,8 +149,35 @@ def _identified(task: tuple[int, bool]) -> Outcome:
         seed, bends, excitation, z, relative,
         len(platform.modes) + (platform.bearing is not None), len(loop.fit.modes),
         mode_z, widths, _band_ratio(platform, loop), loop.over_noise,
-        [float(x) for x in ratio], loop.fit.white, seconds,
+        [float(x) for x in ratio], [] if bends else _over_bound(loop.fit, records),
+        loop.fit.white, seconds,
     )  # fmt: skip
+
+
+def _over_bound(fit: LoopFit, records: list[Experiment]) -> list[float]:
+    """Return standard errors over the Cramér-Rao bound, that of the true plant and its noise.
+
+    The Kalman filter's likelihood gives the bound. Both are given what the fit holds.
+    """
+    model = load_model(shipped("models/rig.yaml"))
+    true = {
+        name: p.model_copy(update={"value": NOMINAL.get(name, p.value)})
+        for name, p in model.parameters.items()
+    }
+    noise = Noise(
+        COIL_NOISE_N**2 * STEP_S * COILS.T @ COILS,
+        (SENSOR_NOISE_M**2 + SENSOR_STEP_M**2 / 12.0) * T @ T.T,
+    )
+    at = linearised(model.model_copy(update={"parameters": true}), records, noise)
+    held = {u.name for u in fit.unidentifiable}
+    free = [k for k, name in enumerate(at.names) if name not in held]
+    bound = np.linalg.inv((at.R.T @ at.R)[np.ix_(free, free)])
+    own = [fit.names.index(at.names[k]) for k in free]
+    given = [k for k, name in enumerate(fit.names) if name in held]
+    across = fit.covariance[np.ix_(own, given)]
+    known = across @ np.linalg.solve(fit.covariance[np.ix_(given, given)], across.T)
+    found = fit.covariance[np.ix_(own, own)] - known
+    return [float(x) for x in np.sqrt(np.diag(found) / np.diag(bound))]
 
 
 def _start(seed: int) -> ModelConfig:

@@ -22,6 +22,9 @@ from .spectral_lines import PointLines
 
 Array = NDArray[np.float64]
 
+ALL_LINES = 1, 2
+"""Steps on all lines in the end of a search, before and after they are weighed anew."""
+
 
 @dataclass(frozen=True)
 class LineWeights:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ...model.second_order import StateSpace
-from ..loop_spectra.line_weights import LineWeights
+from ..loop_spectra.line_weights import ALL_LINES, LineWeights
 from ..loop_spectra.measured_response import last_significant, measured_response
 from ..loop_spectra.output_errors import Factor
 from ..loop_spectra.residual_spectrum import (
@@ -152,8 +152,10 @@ class _Search:
         plant = self._settled(SampledPlant(replace(self.empty, core=found.realise(n))))
         if order is None:
             plant, criteria = self._smaller(*self._larger(plant), least)
-        self._split(plant)
-        plant, factor = self._fit(plant, 3, 1)
+        # The error of a fit to some of the lines is beyond the noise of all: it must not weigh.
+        for steps in ALL_LINES:
+            self._split(plant)
+            plant, factor = self._fit(plant, steps, 1)
         covariance = factor.slopes.covariance(factor)
         self._split(plant)
         worst, worst_hz = self.lines.worst

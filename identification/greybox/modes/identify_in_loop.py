@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ....config.model import ModelConfig
 from ....model.second_order import state_space
-from ...loop_spectra.line_weights import LineWeights
+from ...loop_spectra.line_weights import ALL_LINES, LineWeights
 from ...loop_spectra.measured_response import last_significant
 from ...loop_spectra.output_errors import Factor
 from ...loop_spectra.residual_spectrum import (
@@ -150,8 +150,10 @@ class _Search:
             self._fit(3, self.step)
             self._choose_kinds()
         self._drop_chance()
-        self.lines = self.lines.split(self.plant).by_frequency()
-        factor = self._fit(3, 1)
+        # The error of a fit to some of the lines is beyond the noise of all: it must not weigh.
+        for steps in ALL_LINES:
+            self.lines = self.lines.split(self.plant).by_frequency()
+            factor = self._fit(steps, 1)
         inverse = np.linalg.inv(factor.R)
         scales = factor.slopes.scales
         covariance = scales[:, None] * (inverse @ inverse.T) * scales

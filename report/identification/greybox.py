@@ -181,9 +181,8 @@ def grey_box_report(
     shown, whole = compared, tuple[Curve, ...]()
     if grey.loop is not None:
         band = grey.loop.band
-        top_hz = max(
-            float(grey.loop.fit.points[0].freq_hz[-1]), *(float(c.freq_hz[-1]) for c in measured)
-        )
+        own_hz = float(grey.loop.fit.points[0].freq_hz[-1])
+        top_hz = max([own_hz, *(float(c.freq_hz[-1]) for c in measured)])
         valid_to_hz = None if band.complete else band.end_hz
         shown = Range(compared.low_hz, top_hz, valid_to_hz, beyond="model not valid")
         if grey.loop.fit.modes:

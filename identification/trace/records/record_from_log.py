@@ -308,10 +308,10 @@ def _kind(record: TraceRecord) -> str:
 def _moves(position: Array) -> bool:
     """Return whether a position (N,) varies by more than its white noise, or an encoder's step.
 
-    At rest an encoder may stand between two steps, and change between both.
+    A drive at rest hunts by one step of its encoder, to either side.
     """
     noise = float(white_noise(position[:, None] - position[0])[0])
     changes = np.abs(np.diff(position))
     step = float(np.min(changes, where=changes > 0.0, initial=np.inf))
     chance = 2.0 * SearchOptions.chance(len(position)) * noise
-    return bool(np.any(changes) and np.ptp(position) > max(chance, 1.5 * step))
+    return bool(np.any(changes) and np.ptp(position) > max(chance, 2.5 * step))

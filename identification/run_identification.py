@@ -234,6 +234,8 @@ def _read(
 ) -> tuple[_LogContents, ModelConfig | None]:
     """Read every log once, and return the contents and the declared model."""
     found, duplicates = _LogContents(), DuplicateCheck()
+    if not logs:
+        return found, None
     first = read_log(logs[0])
     model = model_of(first)
     if model is None and "rig.yaml" in first.attachments:

@@ -68,6 +68,8 @@ class Outcome:
     over_noise: float
     noise_ratio: list[float]
     over_bound: list[float]
+    shape_z: list[float]
+    shape_se: list[float]
     white: bool
     seconds: float
 
@@ -120,6 +122,11 @@ def measure(quick: bool) -> Iterator[Figure]:
         yield Figure("modes_covered", inside, "%", "bending modes: frequency inside its interval")
         width = 100.0 * float(np.median(np.concatenate([o.mode_widths for o in bent])))
         yield Figure("modes_width", width, "%", "bending modes: median half width of the interval")
+        shape_z = np.concatenate([o.shape_z for o in bent])
+        inside = 100.0 * float(np.mean(np.abs(shape_z) < SURE_95))
+        yield Figure("shapes_covered", inside, "%", "their shapes: sensors in their intervals")
+        se = float(np.median(np.concatenate([o.shape_se for o in bent])))
+        yield Figure("shapes_se", se, "", "their shapes: median standard error, over the largest")
 
 
 def _identified(task: tuple[int, bool]) -> Outcome:
@@ -142,6 +149,7 @@ def _identified(task: tuple[int, bool]) -> Outcome:
     relative = {n: values[n] / NOMINAL[n] - 1.0 for n in names if NOMINAL[n]}
     relative = {n: x if n in determined else 0.0 for n, x in relative.items()}
     mode_z, widths = _modes(platform, loop)
+    shape_z, shape_se = _shapes(platform, loop)
     force = COIL_NOISE_N**2 * STEP_S * np.diag(COILS.T @ COILS)
     sensor = (SENSOR_NOISE_M**2 + SENSOR_STEP_M**2 / 12.0) * np.diag(T @ T.T)
     ratio = [*(fit.noise.force_psd / force), *(fit.noise.output_variance / sensor)]
@@ -150,6 +158,7 @@ def _identified(task: tuple[int, bool]) -> Outcome:
         len(platform.modes) + (platform.bearing is not None), len(loop.fit.modes),
         mode_z, widths, _band_ratio(platform, loop), loop.over_noise,
         [float(x) for x in ratio], [] if bends else _over_bound(loop.fit, records),
+        shape_z, shape_se,
         loop.fit.white, seconds,
     )  # fmt: skip
 
@@ -204,6 +213,28 @@ def _modes(platform: Platform, loop: FittedLoop) -> tuple[list[float], list[floa
         z.append((mode.freq_hz - true.freq_hz) / se)
         widths.append(SURE_95 * se / mode.freq_hz)
     return z, widths
+
+
+def _shapes(platform: Platform, loop: FittedLoop) -> tuple[list[float], list[float]]:
+    """Return errors over standard errors, and standard errors, of shapes at all sensors.
+
+    At the largest motion, which is 1 by definition, there is none.
+    """
+    z: list[float] = []
+    sizes: list[float] = []
+    for true in platform.modes:
+        near = [
+            (abs(mode.freq_hz - true.freq_hz), shape)
+            for mode, shape in loop.modes
+            if shape is not None and abs(mode.freq_hz / true.freq_hz - 1.0) < NEAR
+        ]
+        for _, shape in sorted(near, key=lambda one: one[0])[:1]:
+            largest = int(np.argmax(np.abs(shape.shape)))
+            others = np.arange(len(shape.shape)) != largest
+            error = shape.shape - true.shape / true.shape[largest]
+            z += (error / shape.se)[others].tolist()
+            sizes += shape.se[others].tolist()
+    return z, sizes
 
 
 def _band_ratio(platform: Platform, loop: FittedLoop) -> float:

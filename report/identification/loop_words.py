@@ -106,9 +106,7 @@ def modes_table(loop: FittedLoop, outputs: tuple[str, ...]) -> Table:
                 interval(mode.freq_hz, frequency),
                 interval(mode.damping, damping),
                 _KINDS[mode.kind],
-                ", ".join(
-                    f"{o} {signed(x, 2)}" for o, x in zip(outputs, _shape(mode), strict=True)
-                ),
+                ", ".join(map(_of_output, outputs, _shape(mode).tolist())),
                 "—" if shape is None else f"{100.0 * shape.beyond_wrench:.3g} %",
             )
         )

@@ -27,6 +27,7 @@ _HALF_WIDTHS, _LEAST_LINES, _MOST_SHARE = 8.0, 60, 0.1
 """Band around a mode: this many half widths of its peak, at least so many lines on either side, and
 at most this share of its frequency."""
 _SAME_PLACE_M = 1e-3
+"""Distance within which a coil and a sensor are at one place."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,11 @@ class ModeShape:
 def mode_shapes(fit: LoopFit, experiments: Sequence[Experiment]) -> tuple[ModeShape | None, ...]:
     """Return the shape of each of the fit's modes; None where the records do not show it.
 
-    The poles are known. Around each, the spectra of all readings are a sum of the mode's response,
-    with real residues (S, p) in common, of the other modes', which is smooth, and of what the
-    record's begin leaves. Residues of one mode have rank one: shape times drive. The input is that
-    of the excitation through the fitted loop, so noise that is fed back does not bias them.
+    The poles of all modes count as known. Around each, the spectra of all readings are a sum of its
+    response, with real residues (S, p) in common, of the other modes', of the rigid body's, which
+    is smooth there, and of what the record's begin and end leave. Residues of one mode have rank
+    one: shape times drive. The input is that of the excitation through the fitted loop, so noise
+    that is fed back does not bias them.
     """
     found = [e for e in experiments if e.loop is not None and e.readings is not None]
     return tuple(_shape(fit, mode, found) for mode in fit.modes)
@@ -85,15 +87,18 @@ def _shape(fit: LoopFit, mode: Mode, experiments: Sequence[Experiment]) -> ModeS
     longest_s = max(len(e.y) * e.Ts_s for e in experiments)
     half_hz = min(max(half_hz, _LEAST_LINES / longest_s), _MOST_SHARE * mode.freq_hz)
     by_point: list[_Residues] = []
-    for schedule in [p.schedule for p in fit.points]:
-        pole = _pole(fit, mode, schedule)
-        middle_hz = abs(pole) / (2.0 * np.pi)
+    for point in fit.points:
+        names = {r.name for r in point.records}
+        poles = _poles(fit, mode, point.schedule)
+        middle_hz = abs(poles[0]) / (2.0 * np.pi)
         try:
-            points = lines_by_point(experiments, (middle_hz - half_hz, middle_hz + half_hz))
-        except IdentificationError:
-            continue  # too few lines
-        there = (_residues(fit, pole, p, experiments) for p in points if p.schedule == schedule)
-        by_point += [r for r in there if r is not None]
+            points = lines_by_point(
+                [e for e in experiments if e.name in names],
+                (middle_hz - half_hz, middle_hz + half_hz),
+            )
+        except (IdentificationError, ValueError):
+            continue  # too few lines, or no record of this point has readings
+        by_point += [r for p in points if (r := _residues(fit, poles, p, experiments)) is not None]
     if not by_point:
         return None
     if mode.kind == "attached":  # its shape depends on where the body is
@@ -101,18 +106,23 @@ def _shape(fit: LoopFit, mode: Mode, experiments: Sequence[Experiment]) -> ModeS
     return _of_residues(by_point, next(e.readings for e in experiments if e.readings is not None))
 
 
-def _pole(fit: LoopFit, mode: Mode, schedule: Mapping[str, float]) -> complex:
-    """Return the mode's pole in the structure: a body's is not that on a base at rest."""
+def _poles(fit: LoopFit, mode: Mode, schedule: Mapping[str, float]) -> list[complex]:
+    """Return the poles of all modes in the structure, that of `mode` first.
+
+    A body's is not that on a base at rest.
+    """
     alike = sorted((m for m in fit.modes if m.kind == mode.kind), key=lambda m: m.omega)
-    poles = [s for s, origin in natural_poles(fit.plant, schedule) if origin == mode.kind]
+    natural = [(s, o) for s, o in natural_poles(fit.plant, schedule) if o != "declared"]
+    own = [s for s, origin in natural if origin == mode.kind]
     k = next(i for i, m in enumerate(alike) if m is mode)
-    return poles[k] if len(poles) == len(alike) else 1j * mode.omega
+    first = own[k] if len(own) == len(alike) else 1j * mode.omega
+    return [first, *(s for s, _ in natural if s != first)]
 
 
 def _residues(
-    fit: LoopFit, pole: complex, point: PointLines, experiments: Sequence[Experiment]
+    fit: LoopFit, poles: Sequence[complex], point: PointLines, experiments: Sequence[Experiment]
 ) -> _Residues | None:
-    """Return the residues at one point, from its records with an excitation."""
+    """Return the residues of the first pole at one point, from its records with an excitation."""
     by_name = {e.name: e for e in experiments}
     lines = point.excited
     if not len(lines):
@@ -121,10 +131,10 @@ def _residues(
     _, S, P = residual(fit.plant, only)
     C_S_P = only.controller @ S @ P
     s, acts = held(fit.plant.model.at(point.schedule), only.freq_hz, point.Ts_s, point.delay_s)
-    resonance = abs(pole) ** 2 / ((s - pole) * (s - np.conj(pole)))
+    resonance, *others = (abs(x) ** 2 / ((s - x) * (s - np.conj(x))) for x in poles)
     apart = np.linspace(-1.0, 1.0, len(lines))
-    smooth = np.stack([apart**k for k in range(3)], axis=1)
-    left = np.concatenate([smooth, resonance[:, None], (apart * resonance)[:, None]], axis=1)
+    rest = np.stack([*(apart**k for k in range(3)), *others], axis=1)
+    left = np.concatenate([rest, resonance[:, None], (apart * resonance)[:, None]], axis=1)
     shared, background, own, right = [], [], [], []
     for record in only.records:
         if not record.excited:
@@ -133,14 +143,14 @@ def _residues(
         assert experiment.readings is not None
         U = acts[:, None] * (record.V - np.einsum("fij,fj->fi", C_S_P, record.V))
         shared.append(U * resonance[:, None])
-        background.append((U[:, :, None] * smooth[:, None, :]).reshape(len(lines), -1))
+        background.append((U[:, :, None] * rest[:, None, :]).reshape(len(lines), -1))
         own.append(left)
         right.append(_spectra(experiment.readings.readings, only.freq_hz, point.Ts_s))
     if not shared:
         return None
     p = shared[0].shape[1]
-    rest = np.concatenate([np.concatenate(background), _diagonal(own)], axis=1)
-    A = np.concatenate([_real(np.concatenate(shared)), _real(rest), _real(1j * rest)], axis=1)
+    beside = np.concatenate([np.concatenate(background), _diagonal(own)], axis=1)
+    A = np.concatenate([_real(np.concatenate(shared)), _real(beside), _real(1j * beside)], axis=1)
     b = _real(np.concatenate(right))
     size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     # The unknowns that are asked for last: their triangle is that of the normal equations left.
